@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.errors import ArgumentName, InputError, printable
+from dgc_pose.errors import ArgumentName, InputError, printable, shortened
 from dgc_pose.geometry.epipolar import homogeneous
 from dgc_pose.geometry.rotation import aligning_rotation
 from dgc_pose.geometry.sampling import nearest
@@ -61,9 +61,7 @@ def model_page(
 
     frusta, photographs = zip(*in_threads(shown, names), strict=True)
     labels = [Path(name).stem for name in names]
-    sizes = np.ones(len(names))
-    if fixed:
-        sizes = np.array([_FIXED if name in fixed else _WALK for name in names])
+    sizes = np.array([_FIXED if name in fixed else _WALK for name in names]) if fixed else 1.0
     points = model.points @ axes.T
     scene = scene_of(labels, np.stack(frusta), points, model.colours, _MOST, sizes)
     place = {name: number for number, name in enumerate(names)}
@@ -73,7 +71,7 @@ def model_page(
         camera["facts"] = _facts(model, name, unit)
         if fixed:
             camera["kind"] = "fixed" if name in fixed else "walk"
-    title = ", ".join(Path(name).stem for name in fixed) or model.root.resolve().name
+    title = shortened(", ".join(Path(name).stem for name in fixed)) or model.root.resolve().name
     return _page(title, _summary(model, unit, fixed, len(scene["rejected"])), scene)
 
 
@@ -124,12 +122,12 @@ def _optics(camera: Camera, size: tuple[int, int] | None) -> str:
 def _summary(model: Model, unit: str, fixed: Sequence[str], rejected: int) -> str:
     """A line about a model. fixed: names of the fixed cameras' pictures. rejected: number of pairs
     rejected as look-alikes."""
-    facts = [f"{len(model.poses)} cameras, {len(model.points)} points"]
-    extent = model.extent
+    walk = len(model.poses) - len(fixed)
+    cameras, extent = f"{walk} cameras", model.extent
     if fixed:
-        walk = len(model.poses) - len(fixed)
-        facts = [f"{len(fixed)} fixed cameras, a walk of {walk}, {len(model.points)} points"]
+        cameras = f"{len(fixed)} fixed cameras" + (f", a walk of {walk}" if walk else "")
         extent = replace(model, poses={name: model.poses[name] for name in fixed}).extent
+    facts = [f"{cameras}, {len(model.points)} points"]
     if rejected:
         facts.append(f"dashed: {rejected} pair{'s' * (rejected > 1)} rejected as look-alikes")
     if unit and extent:

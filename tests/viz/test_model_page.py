@@ -54,8 +54,8 @@ def model(tmp_path_factory) -> Model:
 
 @pytest.fixture(scope="module")
 def rig(model, tmp_path_factory) -> tuple[Model, Path]:
-    """A model whose r2 and r4 are the fixed cameras "north" and "a.b", and the folder of their
-    pictures. A photograph of the walk is a "north.jpg" too."""
+    """A model whose r2 and r4 are the fixed cameras "north" and "a.b", the second with a black
+    picture, and the folder of their pictures. A photograph of the walk is a "north.jpg" too."""
     root = tmp_path_factory.mktemp("rig")
     moved = {"r0.jpg": "walk/north.jpg", "r2.jpg": "out/cameras/north.jpg"}
     moved |= {"r4.jpg": "out/cameras/a.b.jpg"}
@@ -63,6 +63,7 @@ def rig(model, tmp_path_factory) -> tuple[Model, Path]:
         path = root / moved.get(name, name)
         path.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(model.root / name, path)
+    cv2.imwrite(str(path), np.zeros((*IMAGE[::-1], 3), np.uint8))
     poses = {moved.get(name, name): pose for name, pose in model.poses.items()}
     return Model(root, dict.fromkeys(poses, CAMERA), poses), root / "out" / "cameras"
 
@@ -211,9 +212,6 @@ def test_a_browser_shows_the_photographs_upright(browser, model, tmp_path):
 def test_a_camera_opens_its_picture(browser, rig, tmp_path):
     """By the mouse, a finger and the keyboard; not by a drag, which rotates."""
     model, pictures = rig
-    for name in model.poses:
-        if "a.b" in name:  # its colours would be those of the other fixed camera
-            cv2.imwrite(str(model.root / name), np.zeros((800, 1000, 3), np.uint8))
     path = tmp_path / "model.html"
     path.write_text(page_of(model, cameras=pictures), encoding="utf-8")
     browser.open_anew(path.as_uri())

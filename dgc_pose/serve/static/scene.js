@@ -17,7 +17,8 @@ const LOOKS = { // by the kind of a camera: the style sheet's colour, thickness 
   fixed: ["camera1", 2.5, "bold 15px"],
   walk: ["camera2", 1, "12px"],
 };
-const ALWAYS = ["first", "second", "fixed"]; // kinds that always have a name
+const NAMED = ["first", "second", "fixed"]; // kinds that have a name in any case
+const SHIFTS = [0, -1, 1, -2, 2]; // of a name where others are in its way, in lines
 const LINE = 20; // height of a name, CSS pixels
 const NEAR = 12; // a click this near to a line of a camera hits it, CSS pixels: a finger is wide
 const STILL = 5; // a pointer that moves less between down and up clicks, CSS pixels
@@ -31,7 +32,7 @@ export class Scene {
     this.chosen = -1; // number of the camera that stands out
     this.fingers = new Map(); // positions of pressed pointers, by identifier
     canvas.addEventListener("pointerdown", (event) => {
-      this.moved = 0; // by the pointers since the first was pressed, CSS pixels
+      if (!this.fingers.size) this.moved = 0; // by the pointers since the first was pressed, CSS pixels
       canvas.setPointerCapture(event.pointerId);
       this.fingers.set(event.pointerId, [event.clientX, event.clientY]);
     });
@@ -82,7 +83,6 @@ export class Scene {
   choose(number) {
     if (number === this.chosen) return;
     this.chosen = number;
-    this.canvas.style.cursor = number < 0 ? "" : "pointer";
     this.draw();
   }
 
@@ -91,7 +91,8 @@ export class Scene {
     return this.moved > STILL;
   }
 
-  /** The number of the camera at a mouse event, fixed cameras and near ones first; -1 for none. */
+  /** The number of the camera at a mouse event on the canvas, of a rig fixed ones first, then near
+      ones; -1 for none. */
   cameraAt({ offsetX, offsetY }) {
     const named = this.boxes.findIndex((box) => box && overlap(box, [offsetX, offsetY, offsetX, offsetY]));
     if (named >= 0) return named;
@@ -102,8 +103,9 @@ export class Scene {
       const outline = path(face.map((corner) => this.places[n][corner]));
       return paint.isPointInPath(outline, ...spot) || paint.isPointInStroke(outline, ...spot);
     }));
-    const order = (n) => [this.kinds[n] === "walk", this.places[n][0][2]];
-    return hit.sort((a, b) => order(a)[0] - order(b)[0] || order(a)[1] - order(b)[1])[0] ?? -1;
+    const later = (n) => (this.kinds[n] === "walk" ? 1 : 0);
+    hit.sort((a, b) => later(a) - later(b) || this.places[a][0][2] - this.places[b][0][2]);
+    return hit[0] ?? -1;
   }
 
   /** Show the scene from one of `VIEWS`. */
@@ -195,32 +197,32 @@ export class Scene {
   }
 
   /** Write names of cameras: beside the centre, away from the other cameras, or of a rig above the
-      pyramid. One that would cover another moves up or down, or is left out. */
+      pyramid. A name without a free place is left out. */
   drawNames(paint, width, height) {
     const middle = [0, 1].map((axis) => this.places.reduce((sum, [centre]) => sum + centre[axis] / this.places.length, 0));
-    const always = (n) => n === this.chosen || ALWAYS.includes(this.kinds[n]);
-    const named = this.shown.filter((n) => this.names || always(n)).sort((a, b) => always(b) - always(a));
+    const first = (n) => n === this.chosen || NAMED.includes(this.kinds[n]);
+    const named = this.shown.filter((n) => this.names || first(n)).sort((a, b) => first(b) - first(a));
     this.boxes = []; // left, top, right and bottom of the names that are drawn, by the camera's number
     Object.assign(paint, { textAlign: "center", textBaseline: "middle", lineWidth: 3, strokeStyle: colour("shade") });
     for (const n of named) {
       const kind = this.kinds[n];
       const [style, , font] = LOOKS[kind];
-      paint.font = `${n === this.chosen ? "bold 15px" : font} system-ui, sans-serif`;
       const { label } = this.cameras[n];
-      const half = paint.measureText(label).width / 2 + 3;
-      const [x, y] = kind === "fixed" || kind === "walk" ? above(this.places[n]) : beside(this.places[n][0], middle, half);
-      const boxes = (always(n) ? [0, -LINE, LINE, -2 * LINE, 2 * LINE] : [0]).map((shift) => {
-        const left = Math.min(width - 2 * half, Math.max(0, x - half));
-        const top = Math.min(height - LINE, Math.max(0, y + shift - LINE / 2));
-        return [left, top, left + 2 * half, top + LINE];
+      paint.font = `${n === this.chosen ? "bold 15px" : font} system-ui, sans-serif`;
+      const wide = paint.measureText(label).width + 6;
+      const [x, y] = kind === "fixed" || kind === "walk" ? above(this.places[n]) : beside(this.places[n][0], middle, wide / 2);
+      const boxes = SHIFTS.map((shift) => {
+        const left = Math.max(0, Math.min(width - wide, x - wide / 2));
+        const top = Math.max(0, Math.min(height - LINE, y + (shift - 0.5) * LINE));
+        return [left, top, left + wide, top + LINE];
       });
       const free = boxes.find((box) => !this.boxes.some((other) => other && overlap(box, other)));
-      if (!free && !always(n)) continue;
-      const box = free ?? boxes[0];
+      const box = free ?? (n === this.chosen ? boxes[0] : null);
+      if (!box) continue;
       this.boxes[n] = box;
-      paint.strokeText(label, box[0] + half, box[1] + LINE / 2);
+      paint.strokeText(label, box[0] + wide / 2, box[1] + LINE / 2);
       paint.fillStyle = colour(style);
-      paint.fillText(label, box[0] + half, box[1] + LINE / 2);
+      paint.fillText(label, box[0] + wide / 2, box[1] + LINE / 2);
     }
   }
 
