@@ -4,6 +4,7 @@ import os
 import shutil
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -21,13 +22,27 @@ _STAYING = 0.7  # least share of frames in which a static pixel matches the stil
 _LEAST_SIDE = 15  # of a static part, pixels; smaller ones are masked
 
 
-def camera_frames(
-    folder: Path, videos: Path, others: Collection[Path] = ()
-) -> tuple[dict[str, list[Path]], dict[str, list[str]], tuple[str, ...]]:
-    """The frames of each camera, at most 15, by camera name; sentences on its files that cannot be
-    read, by camera name; and a line about skipped entries. Each entry of the folder is a camera,
-    named by `camera_name`: an image, a video, or a folder of frames. A camera without a file that
-    can be read has no frames.
+@dataclass(frozen=True)
+class CameraFrames:
+    """The frames of the cameras in a folder, by camera name."""
+
+    frames: Mapping[str, Sequence[Path]]  # at most 15; none if no file can be read
+    unreadable: Mapping[str, Sequence[str]]  # sentences on files that cannot be read
+    skipped: tuple[str, ...]  # a line about entries that are no cameras
+
+
+@dataclass(frozen=True)
+class StillPictures:
+    """A still picture of each camera, by camera name."""
+
+    pictures: Mapping[str, Path]
+    bad: Mapping[str, str]  # why a camera has no picture
+    lines: tuple[str, ...]  # a sentence for each file left out
+
+
+def camera_frames(folder: Path, videos: Path, others: Collection[Path] = ()) -> CameraFrames:
+    """The frames of each camera. Each entry of the folder is a camera, named by `camera_name`: an
+    image, a video, or a folder of frames.
 
     videos: folder for the frames of videos. others: files and folders that are not cameras. Raises
     InputError for fewer than two cameras, two cameras with one name, and two with equal files.
@@ -66,7 +81,7 @@ def camera_frames(
         raise InputError(_FRAMES, "; ".join([few, *lines]))
     if copies := identical_copies(folder, images):
         raise InputError(_FRAMES, f"{folder / min(copies)} is the picture of another camera")
-    return cameras, unreadable, tuple(lines)
+    return CameraFrames(cameras, unreadable, tuple(lines))
 
 
 def _frames(entry: Path, video: Path) -> tuple[list[Path], list[str]]:
@@ -88,17 +103,15 @@ def camera_name(entry: Path) -> str:
     return entry.name if entry.is_dir() else entry.stem
 
 
-def still_pictures(
-    cameras: Mapping[str, Sequence[Path]], unreadable: Mapping[str, Sequence[str]], folder: Path
-) -> tuple[dict[str, Path], dict[str, str], tuple[str, ...]]:
-    """The `still_picture` of each camera, without the frames that cannot be read; why other cameras
-    have none; and a line for each file left out. cameras, unreadable: from `camera_frames`."""
+def still_pictures(found: CameraFrames, folder: Path) -> StillPictures:
+    """Write the `still_picture` of each camera, without the frames that cannot be read, to a
+    folder."""
     pictures: dict[str, Path] = {}
     bad: dict[str, str] = {}
     lines = list[str]()
-    for name, frames in cameras.items():
+    for name, frames in found.frames.items():
         images: dict[Path, Image] = {}
-        reasons = [*unreadable.get(name, ())]
+        reasons = [*found.unreadable.get(name, ())]
         for path in frames:
             try:
                 images[path] = load_image(path)
@@ -111,7 +124,7 @@ def still_pictures(
         except DgcPoseError as error:
             bad[name] = str(error)
         lines += reasons
-    return pictures, bad, tuple(lines)
+    return StillPictures(pictures, bad, tuple(lines))
 
 
 def still_picture(frames: Mapping[Path, Image], name: str, folder: Path) -> Path:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
@@ -17,46 +16,28 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dgc_pose.batch.options import BatchOptions
+from dgc_pose.batch.result import Batch
 from dgc_pose.batch.run import Progress, run_batch
-from dgc_pose.batch.source import BATCH, PAGE, PairChoice, Source, open_source
+from dgc_pose.batch.source import BATCH, PairChoice, Source
 from dgc_pose.cameras.by_image import Calibration
-from dgc_pose.cameras.calibration import image_camera, read_calibration
-from dgc_pose.cameras.camera import Camera, colmap_camera
 from dgc_pose.colmap.database import NoPairError
 from dgc_pose.colmap.options import ReconstructionOptions
-from dgc_pose.colmap.reconstruction import (
-    MODEL,
-    POINTS,
-    NoModelError,
-    known_metres,
-    reconstruct,
-    require_new,
-    to_metres,
-    write_models,
-)
-from dgc_pose.errors import ArgumentName, ImageError, InputError
+from dgc_pose.colmap.reconstruction import NoModelError, reconstruct, to_metres, write_models
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.images.cache import ImageCache
-from dgc_pose.images.folder import frames_folder
-from dgc_pose.images.image import load_image
+from dgc_pose.images.image import load_image, mask_file, masked
 from dgc_pose.localization.locate import Locator
 from dgc_pose.localization.location import Location
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.model import Model
 from dgc_pose.rigs.adjustment import WALK, adjusted, extended, in_metres, in_model_of_batch
-from dgc_pose.rigs.files import FILES
-from dgc_pose.rigs.frames import camera_frames, still_pictures
+from dgc_pose.rigs.inputs import PICTURES, Photographs, RigInputs, RigOptions, rig_inputs
 from dgc_pose.system.colmap_library import pycolmap
-from dgc_pose.system.files import replaced_folder
 
 if TYPE_CHECKING:
     from dgc_pose.pose import CameraSource
 
-# Folders in that of a rig: for the cameras' pictures and masks, and for the frames of videos
-_OWN = "rig_pictures"
-PICTURES, _CAMERAS, _WALK_OF = f"{_OWN}/cameras", f"{_OWN}/frames", f"{_OWN}/walk_of_"
-_WALK_FRAMES = 20  # taken from a video
 _SIMILAR = 6  # each photograph of the walk is paired with this number of similar ones
 _LEAST_AGREEING = 2  # pictures of the model that must agree with a location
 
@@ -110,151 +91,140 @@ def estimate_rig(
     "nowhere". Raises InputError for an unusable K or scale, and for an existing result without
     `resume` in `work`; ImageError; OSError.
     """
-    frames, out, work = Path(frames), Path(out), work or BatchOptions()
-    estimation, matcher = estimation or EstimationOptions(), matcher or MatcherOptions()
-    options = reconstruction or ReconstructionOptions()
-    walk = Path(walk) if isinstance(walk, str) else walk
-    given = {"frames": frames} | ({"walk": walk} if isinstance(walk, Path) else {})
-    require_new(out, (BATCH, MODEL, POINTS, PAGE, *FILES), resume=work.resume)
-    for argument, path in given.items():
-        inner, outer = (out / _OWN).resolve(), path.resolve()
-        if outer in inner.parents or inner in (outer, *outer.parents):
-            neither = f"{path} overlaps the results in {out}"
-            raise InputError(ArgumentName(argument), neither)
-    found, unreadable, skipped = camera_frames(frames, out / _CAMERAS, [*given.values()])
-    exact = _exact_cameras(K or {}, found)
-    walked = dict[str, Path]()
-    if isinstance(walk, Model):
-        skipped = (*skipped, *walk.warnings)
-        walked = {name: walk.root / name for name in walk.poses}
-    elif walk is not None:
-        source = open_source(frames_folder(walk, _WALK_FRAMES, out / f"{_WALK_OF}{walk.name}"))
-        skipped += source.skipped
-        walked = {name: source.root / name for name in source.names}
-        calibration = read_calibration(walk_K, "walk_K")
-    if options.scale or options.gps:  # raise before the matching
-        first = {name: next(iter(paths), frames / name) for name, paths in found.items()}
-        known_metres(first if options.scale else walked or first, options)
+    options = RigOptions(
+        matcher or MatcherOptions(),
+        estimation or EstimationOptions(),
+        reconstruction or ReconstructionOptions(),
+        work or BatchOptions(),
+    )
+    between = Path(walk) if isinstance(walk, str) else walk
+    inputs = rig_inputs(Path(frames), Path(out), between, K or {}, walk_K, options)
+    if not inputs.pictures:
+        return Rig(inputs.unusable, warnings=inputs.warnings)
+    made = _made_models(inputs, progress)
+    return _placed_rig(inputs, made, progress)
 
-    for file in (*FILES, PAGE):  # of an earlier run
-        (out / file).unlink(missing_ok=True)
-    (out / _OWN).mkdir(parents=True, exist_ok=True)
-    with replaced_folder(out / PICTURES) as folder:
-        stills, bad, lines = still_pictures(found, unreadable, folder)
-    files = {name: path.name for name, path in stills.items()}
-    skipped += lines
-    unusable = {name: Location("bad_input", why, ()) for name, why in bad.items()}
-    pictures = {name: out / PICTURES / file for name, file in files.items()}
-    if options.scale:
-        *pair, metres = options.scale.split(",")
-        for name in sorted(bad.keys() & {*pair}):
-            unusable_picture = f"names {name}, whose picture cannot be used: {bad[name]}"
-            raise InputError(ArgumentName("scale"), unusable_picture)
-        options = replace(options, scale=",".join([*(files[name] for name in pair), metres]))
-    if not pictures:
-        return Rig(unusable, warnings=skipped)
-    if isinstance(walk, Model):
-        models = [walk]
+
+@dataclass(frozen=True, eq=False)
+class _MadeModels:
+    """The models that the cameras are located in."""
+
+    models: Sequence[Model]  # the largest first; may be none
+    batch: Batch | None  # that they are made of; None for a finished model
+    are_own: bool = False  # whether their images are the cameras' pictures
+    why_none: str = ""
+
+
+def _made_models(inputs: RigInputs, progress: Progress) -> _MadeModels:
+    """The finished model, or the models of the walk or of the cameras' own pictures."""
+    if isinstance(inputs.walk, Model):
+        return _MadeModels([inputs.walk], None)
+    estimation = inputs.options.estimation
+    options = replace(inputs.options.reconstruction, gps=False, scale=None, marker=None)
+    pairs = PairChoice("exhaustive")
+    if inputs.walk is None:
+        photographs = _own_photographs(inputs)
+        options = replace(options, min_images=2, refine_centres=False)
     else:
-        pairs, fast = PairChoice("exhaustive"), estimation
-        up_to_scale = replace(options, gps=False, scale=None, marker=None)
-        if walk is None:
-            names = tuple(sorted(files.values()))
-            source = Source(out / PICTURES, names, None, {}, masks=out / PICTURES)
-            by_file = {files[name]: camera for name, camera in exact.items() if name in files}
-            calibration = Calibration("K", by_file, auto="two")
-            up_to_scale = replace(up_to_scale, min_images=2, refine_centres=False)
-        else:
-            if len(source.names) > _SIMILAR + 1:
-                pairs = PairChoice("auto", _SIMILAR)
-            if estimation.effort == "auto":  # corners are aligned at full resolution later
-                fast = replace(estimation, effort="fast")
-            up_to_scale = replace(up_to_scale, refine_centres=True)
-        batch = run_batch(
-            *(source, calibration, pairs, out / BATCH),
-            matcher=matcher,
-            estimation=fast,
-            options=work,
-            progress=progress,
-        )
-        skipped += tuple(f"{name}: {why}" for name, why in batch.summary["bad_images"].items())
-        try:
-            models, *_ = reconstruct(batch, out, up_to_scale)
-        except (NoModelError, NoPairError) as error:
-            reason = "the cameras' own pictures make no model; photographs between them would"
-            if walk is not None:
-                reason = f"the walk makes no model: {error}"
-            none = {name: Location("nowhere", reason, ()) for name in pictures}
-            return Rig(none | unusable, warnings=skipped)
+        photographs = inputs.walk
+        options = replace(options, refine_centres=True)
+        if len(photographs.source.names) > _SIMILAR + 1:
+            pairs = PairChoice("auto", _SIMILAR)
+        if estimation.effort == "auto":  # corners are aligned at full resolution later
+            estimation = replace(estimation, effort="fast")
+    batch = run_batch(
+        photographs.source,
+        photographs.calibration,
+        pairs,
+        inputs.out / BATCH,
+        matcher=inputs.options.matcher,
+        estimation=estimation,
+        options=inputs.options.work,
+        progress=progress,
+    )
+    are_own = photographs is not inputs.walk
+    try:
+        models, *_ = reconstruct(batch, inputs.out, options)
+    except (NoModelError, NoPairError) as error:
+        why = f"the walk makes no model: {error}"
+        if are_own:
+            why = "the cameras' own pictures make no model; photographs between them would"
+        return _MadeModels([], batch, are_own, why)
+    return _MadeModels(models, batch, are_own)
 
-    loaded = matcher.load(ImageCache())
-    locators = [Locator(of_model, loaded, estimation, out / PICTURES) for of_model in models]
-    model, cameras = _located(locators, pictures, exact, progress, own=walk is None)
-    skipped += tuple(why for locator in locators for why in locator.bad.values())
-    if (count := len(model.poses)) < len(walked):
-        skipped += (f"{count} of {len(walked)} photographs of the walk are in its model",)
-    if walk is None:
-        cameras = in_model_of_batch(cameras, files, model, batch)
-    placed = {name: of for name, of in cameras.items() if of.success}
+
+def _own_photographs(inputs: RigInputs) -> Photographs:
+    """The cameras' pictures as photographs of a model."""
+    names = tuple(sorted(picture.name for picture in inputs.pictures.values()))
+    source = Source(inputs.out / PICTURES, names, None, {}, masks=inputs.masks)
+    exact = {
+        picture.name: inputs.exact[name]
+        for name, picture in inputs.pictures.items()
+        if name in inputs.exact
+    }
+    return Photographs(source, Calibration("K", exact, auto="two"))
+
+
+def _placed_rig(inputs: RigInputs, made: _MadeModels, progress: Progress) -> Rig:
+    """The cameras placed in a model, adjusted with it, in metres, and written with it."""
+    warnings = inputs.warnings
+    if made.batch is not None:
+        bad = made.batch.summary["bad_images"]
+        warnings += tuple(f"{name}: {why}" for name, why in bad.items())
+    if not made.models:
+        nowhere = Location("nowhere", made.why_none, ())
+        cameras = dict.fromkeys(inputs.pictures, nowhere)
+        return Rig({**cameras, **inputs.unusable}, warnings=warnings)
+    matcher = inputs.options.matcher.load(ImageCache())
+    masks = inputs.masks if made.are_own else None
+    estimation = inputs.options.estimation
+    locators = [Locator(model, matcher, estimation, masks) for model in made.models]
+    model, cameras = _located(locators, inputs, progress, own=made.are_own)
+    warnings += tuple(why for locator in locators for why in locator.bad.values())
+    walked = sum(name.startswith(WALK) for name in inputs.images)
+    if len(model.poses) < walked:
+        warnings += (f"{len(model.poses)} of {walked} photographs of the walk are in its model",)
+    if made.are_own:
+        assert made.batch is not None
+        files = {name: picture.name for name, picture in inputs.pictures.items()}
+        cameras = in_model_of_batch(cameras, files, model, made.batch)
+    placed = {name: location for name, location in cameras.items() if location.success}
     if not placed:
-        return Rig(cameras | unusable, warnings=skipped)
+        return Rig({**cameras, **inputs.unusable}, warnings=warnings)
 
-    if walk is None:
+    if made.are_own:
         assert model.colmap is not None  # of `reconstruct`
         whole = model.colmap
-        by_name = {image.name: image.image_id for image in whole.images.values()}
-        ids = {name: by_name[files[name]] for name in placed}
-    elif isinstance(walk, Model):
-        whole, ids = extended(model, placed, pictures)
+        by_file = {image.name: image.image_id for image in whole.images.values()}
+        ids = {name: by_file[inputs.pictures[name].name] for name in placed}
+    elif made.batch is None:
+        whole, ids = extended(model, placed, inputs.pictures)
     else:
-        whole, ids, placed = adjusted(model, placed, pictures)
-    paths = {WALK + name: path for name, path in walked.items()}
-    paths |= {file: out / PICTURES / file for file in files.values()}
+        whole, ids, placed = adjusted(model, placed, inputs.pictures)
     before = _spread(whole)
-    metric = to_metres(whole, paths, options)
+    metric = to_metres(whole, inputs.images, inputs.options.reconstruction, inputs.known)
     scale = _spread(whole) / before
     poses = {name: whole.images[ids[name]].cam_from_world().matrix() for name in placed}
-    placed = {name: in_metres(of, poses[name], scale) for name, of in placed.items()}
-    model = _written(whole, paths, out)
-    warnings = (*skipped, *metric.pop("warnings", ()), *_same_poses(placed))
-    return Rig({**cameras, **placed, **unusable}, model, metric, warnings)
-
-
-def _exact_cameras(
-    K: Mapping[str, CameraSource], found: Mapping[str, Sequence[Path]]
-) -> dict[str, Camera]:
-    """The cameras with a given K, by name. found: the frames of each camera."""
-    if unknown := sorted({*K} - {*found}):
-        names = ", ".join(found)
-        raise InputError(ArgumentName("K"), f"is of {unknown[0]}, and the cameras are {names}")
-    exact = {}
-    for name, value in K.items():
-        for path in found[name]:
-            with suppress(ImageError):
-                exact[name] = image_camera(value, load_image(path), f"K of {name}")
-                colmap_camera(exact[name], name)  # raises for a skew
-                break
-    return exact
+    placed = {name: in_metres(placed[name], poses[name], scale) for name in placed}
+    model = _written(whole, inputs.images, inputs.out)
+    warnings += (*metric.pop("warnings", ()), *_same_poses(placed))
+    return Rig({**cameras, **placed, **inputs.unusable}, model, metric, warnings)
 
 
 def _located(
-    locators: Sequence[Locator],
-    pictures: Mapping[str, Path],
-    exact: Mapping[str, Camera],
-    progress: Progress,
-    *,
-    own: bool,
+    locators: Sequence[Locator], inputs: RigInputs, progress: Progress, *, own: bool
 ) -> tuple[Model, dict[str, Location]]:
     """The model in which most cameras are located, and the locations in it. For a camera located
     only in another model, the reason states it. own: whether the models contain the pictures."""
     each = list[dict[str, Location]]()
     for locator in locators:
         each.append({})
-        for name, picture in pictures.items():
+        for name, picture in inputs.pictures.items():
             itself = [picture.name] if own else []
-            location = locator.locate(picture, exact.get(name), excluded=itself, whole=True)
+            image = masked(load_image(picture), mask_file(inputs.masks, picture.name))
+            location = locator.locate(image, inputs.exact.get(name), excluded=itself, whole=True)
             each[-1][name] = _checked(location, name, locator)
-            progress("cameras", sum(map(len, each)), len(locators) * len(pictures))
+            progress("cameras", sum(map(len, each)), len(locators) * len(inputs.pictures))
     best = int(np.argmax([sum(of.success for of in located.values()) for located in each]))
     cameras = dict(each[best])
     for located in each:

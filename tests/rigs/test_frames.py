@@ -38,10 +38,10 @@ def test_an_entry_of_the_folder_is_a_camera(tmp_path: Path) -> None:
     many = [save(rig / "west" / f"{number:02d}.png") for number in range(40)]
     (rig / "notes.txt").write_text("of the cameras")
     (rig / "empty").mkdir()
-    found, _, skipped = camera_frames(rig, tmp_path / "videos")
-    assert skipped[0].startswith("2 files skipped (first: empty): neither a picture")
+    found = camera_frames(rig, tmp_path / "videos")
+    assert found.skipped[0].startswith("2 files skipped (first: empty): neither a picture")
     expected = {"north": [rig / "north.jpg"], "south": [rig / "south.data"], "west": many[::3]}
-    assert found == expected and not (tmp_path / "videos").exists()
+    assert found.frames == expected and not (tmp_path / "videos").exists()
 
 
 def test_what_is_no_rig_is_refused(tmp_path: Path) -> None:
@@ -118,12 +118,12 @@ def test_files_that_cannot_be_read_displace_no_other(tmp_path: Path) -> None:
     for path in empty:
         path.write_bytes(b"")
     (rig / "south.mp4").write_text("not a video")
-    cameras, unreadable, _ = camera_frames(rig, tmp_path / "videos")
-    assert cameras == {"many": fine, "south": [south]}
-    pictures, bad, lines = still_pictures(cameras, unreadable, tmp_path)
-    assert {*pictures} == {*cameras} and not bad
+    found = camera_frames(rig, tmp_path / "videos")
+    assert found.frames == {"many": fine, "south": [south]}
+    stills = still_pictures(found, tmp_path)
+    assert {*stills.pictures} == {*found.frames} and not stills.bad
     no_video = f"{rig / 'south.mp4'} is not a video that can be read"
-    assert {*lines} == {no_video, *(f"{path}: empty" for path in empty)}
+    assert {*stills.lines} == {no_video, *(f"{path}: empty" for path in empty)}
 
 
 def test_bad_pictures_are_told_and_the_others_are_there(tmp_path: Path) -> None:
@@ -140,16 +140,17 @@ def test_bad_pictures_are_told_and_the_others_are_there(tmp_path: Path) -> None:
     write_bad_pictures(rig / "none")
     for name in ("tiny.png", "grey.png", "clear.png"):
         (rig / "none" / name).unlink()
-    cameras, unreadable, skipped = camera_frames(rig, tmp_path / "videos")
-    assert not skipped
-    pictures, reasons, lines = still_pictures(cameras, unreadable, tmp_path)
-    assert {*pictures} == {"fine", "many"}
+    found = camera_frames(rig, tmp_path / "videos")
+    assert not found.skipped
+    stills = still_pictures(found, tmp_path)
+    reasons = stills.bad
+    assert {*stills.pictures} == {"fine", "many"}
     assert {*reasons} == {path.stem for path in bad} | {"video", "none"}
     for path in bad:
         assert BAD_PICTURES[path.name] in reasons[path.stem]
     assert reasons["video"] == f"{rig / 'video.mp4'} is not a video that can be read"
     left_out = [path for path in frames if path.exists()]
-    told = [line for line in lines if str(rig / "many") in line]
+    told = [line for line in stills.lines if str(rig / "many") in line]
     assert len(told) == len(left_out)
     assert all(any(str(path) in line for line in told) for path in left_out)
-    np.testing.assert_array_equal(load_image(pictures["many"]).pixels, SCENE[::-1])
+    np.testing.assert_array_equal(load_image(stills.pictures["many"]).pixels, SCENE[::-1])
