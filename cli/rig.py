@@ -73,8 +73,9 @@ def rig(frames: Path, out: Path, choice: RigChoice) -> int:
     """
     from dgc_pose.batch.source import PAGE
     from dgc_pose.cameras.formats.recognise import read_file
+    from dgc_pose.colmap.reconstruction import MappingError
     from dgc_pose.model import load_model
-    from dgc_pose.rigs.files import FILES, compared, write_rig
+    from dgc_pose.rigs.files import FILES, RIG, compared, write_rig
     from dgc_pose.rigs.rig import estimate_rig
     from dgc_pose.system.files import require_no_input, write_text
     from dgc_pose.viz.model_page import model_page
@@ -129,6 +130,9 @@ def rig(frames: Path, out: Path, choice: RigChoice) -> int:
                 click.echo(change.text(unit))
         except InputError as error:  # the rig itself is written
             to_stderr(f"warning: {error}")
+    if found.not_in_metres:
+        resumed = ArgumentName("resume"), "with another scale goes on from there"
+        raise MappingError(out / RIG, f"is up to scale: {found.not_in_metres}:", *resumed)
     return 0
 
 

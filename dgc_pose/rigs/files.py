@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.formats.rigs import rig_texts
+from dgc_pose.cameras.formats.rigs import CALIBRATION, rig_texts
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation.result import plain
 from dgc_pose.geometry.rotation import aligning_rotation, rotation_angle_deg
@@ -17,8 +17,8 @@ from dgc_pose.localization.location import Location
 from dgc_pose.system.files import write_text
 from dgc_pose.system.texts import json_text
 
-FILES = ("calibration.toml", "camera_array.toml", "rig_config.json", "stereo.yml", "rig.json")
-_OF_RIG = ("centre", "covariance", "probability", "rotation_error_90_deg", "position_error_90")
+RIG = "rig.json"
+FILES = (CALIBRATION, "camera_array.toml", "rig_config.json", "stereo.yml", RIG)
 _FACTOR = 3.0  # a change above this times the expected error is a motion
 _LEAST_ANGLE_DEG, _LEAST_SHIFT = 0.05, 1e-3  # smaller changes do not count; the shift over extent
 
@@ -31,27 +31,46 @@ def write_rig(
 ) -> list[Path]:
     """Write the files of `rig_texts` and rig.json, each completely or not at all; return the paths.
 
-    rig.json has the tables of calibration.toml, the expected errors, why other cameras have no
-    pose, the warnings, and the names of the files. cameras: by name; the located ones have a camera
-    with a size. metric: the unit of the positions, and facts about it; empty up to scale. Raises as
-    `rig_texts`; OSError, with the path.
+    rig.json names calibration.toml, which has K, lens and pose of each camera, and adds the
+    expected errors and deviations, why other cameras have no pose, the warnings, and the names of
+    the files. cameras: by name; the located ones have a camera with a size. metric: the unit of the
+    positions, and facts about it; empty up to scale. Raises as `rig_texts`; OSError, with the path.
     """
-    views = {name: of.camera for name, of in cameras.items() if of.success and of.camera}
+    placed = {name: location for name, location in cameras.items() if location.success}
+    views = {name: location.camera for name, location in placed.items() if location.camera}
     texts: dict[str, str] = {}
-    tables: dict[str, dict[str, Any]] = {}
     if views:
-        stated = (cameras[name].cam_from_world for name in views)
+        stated = (placed[name].cam_from_world for name in views)
         poses = np.stack([pose for pose in stated if pose is not None])
-        texts, tables = rig_texts(views, poses, metric.get("unit", ""))
-    for name, table in tables.items():
-        table |= {key: plain(getattr(cameras[name], key)) for key in _OF_RIG}
-    not_placed = {name: of.reason for name, of in cameras.items() if not of.success}
-    data = {"unit": "", **metric, "cameras": tables, "not_placed": not_placed}
-    data["warnings"] = [*warnings]
-    texts["rig.json"] = json_text({**data, "files": [*texts, "rig.json"]})
+        texts = rig_texts(views, poses, metric.get("unit", ""))
+    data = {
+        "unit": "",
+        **metric,
+        "calibration": CALIBRATION if views else None,
+        "cameras": {name: _facts(placed[name], camera) for name, camera in views.items()},
+        "not_placed": {name: cameras[name].reason for name in cameras if name not in placed},
+        "warnings": [*warnings],
+        "files": [*texts, RIG],
+    }
+    texts[RIG] = json_text(data)
     for name, text in texts.items():
         write_text(folder / name, text)
     return [folder / name for name in texts]
+
+
+def _facts(location: Location, camera: Camera) -> dict[str, Any]:
+    """What rig.json has of a camera."""
+    return {
+        "centre": plain(location.centre),
+        "rotation_error_90_deg": location.rotation_error_90_deg,
+        "position_error_90": location.position_error_90,
+        "covariance": plain(location.covariance),
+        "probability": location.probability,
+        "focal_std": camera.focal_std,
+        "centre_std_px": camera.centre_std,
+        "lens_std": camera.lens_std,
+        "aspect_std": camera.aspect_std,
+    }
 
 
 @dataclass(frozen=True)

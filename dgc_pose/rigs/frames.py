@@ -103,9 +103,9 @@ def camera_name(entry: Path) -> str:
     return entry.name if entry.is_dir() else entry.stem
 
 
-def still_pictures(found: CameraFrames, folder: Path) -> StillPictures:
+def still_pictures(found: CameraFrames, folder: Path, masks: Path) -> StillPictures:
     """Write the `still_picture` of each camera, without the frames that cannot be read, to a
-    folder."""
+    folder, and its mask to the folder `masks`."""
     pictures: dict[str, Path] = {}
     bad: dict[str, str] = {}
     lines = list[str]()
@@ -120,19 +120,20 @@ def still_pictures(found: CameraFrames, folder: Path) -> StillPictures:
         try:
             if not images:
                 raise InputError(reasons.pop(0))
-            pictures[name] = still_picture(images, name, folder)
+            pictures[name] = still_picture(images, name, folder, masks)
         except DgcPoseError as error:
             bad[name] = str(error)
         lines += reasons
     return StillPictures(pictures, bad, tuple(lines))
 
 
-def still_picture(frames: Mapping[Path, Image], name: str, folder: Path) -> Path:
+def still_picture(frames: Mapping[Path, Image], name: str, folder: Path, masks: Path) -> Path:
     """Write the still picture of a camera to a folder, as `name` with an ending.
 
     A single upright frame is copied. Otherwise the picture is the upright median of the frames,
-    with the mask `name`.png.png, black where things move. Raises InputError for frames of several
-    sizes and if all of the picture moves; ImageError if nothing in it can be matched.
+    with the mask `name`.png.png in the folder `masks`, black where things move. Raises InputError
+    for frames of several sizes and if all of the picture moves; ImageError if nothing in it can be
+    matched.
     """
     first, *_ = frames
     if len({image.size for image in frames.values()}) > 1:
@@ -152,7 +153,7 @@ def still_picture(frames: Mapping[Path, Image], name: str, folder: Path) -> Path
     require_matchable(Image(still, str(first), mask=mask > 0))
     newest = max(path.stat().st_mtime_ns for path in frames)
     path = folder / f"{name}.png"
-    for file, pixels in ((path, still[:, :, ::-1]), (folder / f"{name}.png.png", mask)):
+    for file, pixels in ((path, still[:, :, ::-1]), (masks / f"{name}.png.png", mask)):
         with naming_path(file):
             file.write_bytes(cv2.imencode(".png", pixels)[1].tobytes())
             os.utime(file, ns=(newest, newest))  # --resume compares times

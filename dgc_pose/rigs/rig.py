@@ -7,6 +7,7 @@ and the cameras. Without a walk, the cameras' own pictures become the model.
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
@@ -18,11 +19,20 @@ import numpy as np
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.result import Batch
 from dgc_pose.batch.run import Progress, run_batch
-from dgc_pose.batch.source import BATCH, PairChoice, Source
+from dgc_pose.batch.source import BATCH, PAGE, PairChoice, Source
 from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.colmap.database import NoPairError
 from dgc_pose.colmap.options import ReconstructionOptions
-from dgc_pose.colmap.reconstruction import NoModelError, reconstruct, to_metres, write_models
+from dgc_pose.colmap.reconstruction import (
+    MODEL,
+    POINTS,
+    MappingError,
+    NoModelError,
+    mapped,
+    to_metres,
+    write_models,
+)
+from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.images.cache import ImageCache
@@ -30,10 +40,22 @@ from dgc_pose.images.image import load_image, mask_file, masked
 from dgc_pose.localization.locate import Locator
 from dgc_pose.localization.location import Location
 from dgc_pose.matchers import MatcherOptions
-from dgc_pose.model import Model
+from dgc_pose.model import Model, upright_model
 from dgc_pose.rigs.adjustment import WALK, adjusted, extended, in_metres, in_model_of_batch
-from dgc_pose.rigs.inputs import PICTURES, Photographs, RigInputs, RigOptions, rig_inputs
+from dgc_pose.rigs.files import FILES
+from dgc_pose.rigs.inputs import (
+    FixedCameras,
+    Photographs,
+    RigInputs,
+    RigOptions,
+    fixed_cameras,
+    images_in_model,
+    metres_of,
+    require_new_rig,
+    walk_photographs,
+)
 from dgc_pose.system.colmap_library import pycolmap
+from dgc_pose.system.files import only_writer
 
 if TYPE_CHECKING:
     from dgc_pose.pose import CameraSource
@@ -51,12 +73,15 @@ class Rig:
         model: The walk and the placed cameras with 3D points; None if no camera is placed.
         metric: The unit, the frame and the error of the scale; empty up to scale.
         warnings: Sentences for the user.
+        not_in_metres: Why the rig is up to scale in spite of an option for metres; empty if it is
+            not.
     """
 
     cameras: Mapping[str, Location]
     model: Model | None = None
     metric: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    not_in_metres: str = ""
 
     @property
     def placed(self) -> dict[str, Location]:
@@ -91,16 +116,19 @@ def estimate_rig(
     "nowhere". Raises InputError for an unusable K or scale, and for an existing result without
     `resume` in `work`; ImageError; OSError.
     """
+    out = Path(out)
     options = RigOptions(
         matcher or MatcherOptions(),
         estimation or EstimationOptions(),
         reconstruction or ReconstructionOptions(),
         work or BatchOptions(),
     )
-    between = Path(walk) if isinstance(walk, str) else walk
-    inputs = rig_inputs(Path(frames), Path(out), between, K or {}, walk_K, options)
-    if not inputs.pictures:
-        return Rig(inputs.unusable, warnings=inputs.warnings)
+    require_new_rig(Path(frames), out, walk, resume=options.work.resume)
+    between = walk_photographs(walk, walk_K, out)
+    cameras = fixed_cameras(Path(frames), out, walk, K or {}, options.reconstruction)
+    images = images_in_model(cameras, between)
+    known = metres_of(cameras, images, options.reconstruction)
+    inputs = RigInputs(out, between, cameras, images, known, options)
     made = _made_models(inputs, progress)
     return _placed_rig(inputs, made, progress)
 
@@ -109,26 +137,32 @@ def estimate_rig(
 class _MadeModels:
     """The models that the cameras are located in."""
 
-    models: Sequence[Model]  # the largest first; may be none
-    batch: Batch | None  # that they are made of; None for a finished model
+    models: Sequence[Model]  # the largest first
+    batch: Batch | None = None  # that they are made of; None for a finished model
     are_own: bool = False  # whether their images are the cameras' pictures
     why_none: str = ""
+    warnings: tuple[str, ...] = ()
 
 
 def _made_models(inputs: RigInputs, progress: Progress) -> _MadeModels:
     """The finished model, or the models of the walk or of the cameras' own pictures."""
-    if isinstance(inputs.walk, Model):
-        return _MadeModels([inputs.walk], None)
+    _remove_results(inputs.out)
+    if not inputs.cameras.pictures:
+        return _MadeModels([])
+    walk = inputs.walk
+    if isinstance(walk, Model):
+        return _MadeModels([walk], warnings=walk.warnings)
     estimation = inputs.options.estimation
-    options = replace(inputs.options.reconstruction, gps=False, scale=None, marker=None)
     pairs = PairChoice("exhaustive")
-    if inputs.walk is None:
-        photographs = _own_photographs(inputs)
-        options = replace(options, min_images=2, refine_centres=False)
+    if walk is None:
+        photographs = _own_photographs(inputs.cameras)
+        mapping = replace(inputs.options.reconstruction, min_images=2, refine_centres=False)
+        why_none = "the cameras' own pictures make no model; photographs between them would"
     else:
-        photographs = inputs.walk
-        options = replace(options, refine_centres=True)
-        if len(photographs.source.names) > _SIMILAR + 1:
+        photographs = walk
+        mapping = replace(inputs.options.reconstruction, refine_centres=True)
+        why_none = "the walk makes no model: "
+        if len(walk.source.names) > _SIMILAR + 1:
             pairs = PairChoice("auto", _SIMILAR)
         if estimation.effort == "auto":  # corners are aligned at full resolution later
             estimation = replace(estimation, effort="fast")
@@ -142,97 +176,108 @@ def _made_models(inputs: RigInputs, progress: Progress) -> _MadeModels:
         options=inputs.options.work,
         progress=progress,
     )
-    are_own = photographs is not inputs.walk
+    bad = batch.summary["bad_images"]
+    warnings = (*photographs.source.skipped, *(f"{name}: {why}" for name, why in bad.items()))
     try:
-        models, *_ = reconstruct(batch, inputs.out, options)
+        with only_writer(inputs.out):
+            found, _ = mapped(batch, inputs.out, mapping)
     except (NoModelError, NoPairError) as error:
-        why = f"the walk makes no model: {error}"
-        if are_own:
-            why = "the cameras' own pictures make no model; photographs between them would"
-        return _MadeModels([], batch, are_own, why)
-    return _MadeModels(models, batch, are_own)
+        why_none += str(error) if walk is not None else ""
+        return _MadeModels([], batch, walk is None, why_none, warnings)
+    models = [upright_model(model, batch.plan.root) for model in found]
+    return _MadeModels(models, batch, walk is None, warnings=warnings)
 
 
-def _own_photographs(inputs: RigInputs) -> Photographs:
+def _remove_results(out: Path) -> None:
+    """Remove the results of an earlier run, which `require_new_rig` allowed to replace."""
+    for file in (*FILES, PAGE, POINTS):
+        (out / file).unlink(missing_ok=True)
+    if (out / MODEL).exists():
+        shutil.rmtree(out / MODEL)
+
+
+def _own_photographs(cameras: FixedCameras) -> Photographs:
     """The cameras' pictures as photographs of a model."""
-    names = tuple(sorted(picture.name for picture in inputs.pictures.values()))
-    source = Source(inputs.out / PICTURES, names, None, {}, masks=inputs.masks)
-    exact = {
-        picture.name: inputs.exact[name]
-        for name, picture in inputs.pictures.items()
-        if name in inputs.exact
-    }
+    files = {name: picture.name for name, picture in cameras.pictures.items()}
+    exact = {files[name]: camera for name, camera in cameras.exact.items() if name in files}
+    root = next(iter(cameras.pictures.values())).parent
+    source = Source(root, tuple(sorted(files.values())), None, {}, masks=cameras.masks)
     return Photographs(source, Calibration("K", exact, auto="two"))
 
 
 def _placed_rig(inputs: RigInputs, made: _MadeModels, progress: Progress) -> Rig:
     """The cameras placed in a model, adjusted with it, in metres, and written with it."""
-    warnings = inputs.warnings
-    if made.batch is not None:
-        bad = made.batch.summary["bad_images"]
-        warnings += tuple(f"{name}: {why}" for name, why in bad.items())
-    if not made.models:
-        nowhere = Location("nowhere", made.why_none, ())
-        cameras = dict.fromkeys(inputs.pictures, nowhere)
-        return Rig({**cameras, **inputs.unusable}, warnings=warnings)
-    matcher = inputs.options.matcher.load(ImageCache())
-    masks = inputs.masks if made.are_own else None
-    estimation = inputs.options.estimation
-    locators = [Locator(model, matcher, estimation, masks) for model in made.models]
-    model, cameras = _located(locators, inputs, progress, own=made.are_own)
-    warnings += tuple(why for locator in locators for why in locator.bad.values())
-    walked = sum(name.startswith(WALK) for name in inputs.images)
-    if len(model.poses) < walked:
-        warnings += (f"{len(model.poses)} of {walked} photographs of the walk are in its model",)
-    if made.are_own:
-        assert made.batch is not None
-        files = {name: picture.name for name, picture in inputs.pictures.items()}
-        cameras = in_model_of_batch(cameras, files, model, made.batch)
+    located = _located(inputs, made, progress)
+    unusable = inputs.cameras.unusable.items()
+    cameras = located.cameras | {name: Location("bad_input", why, ()) for name, why in unusable}
     placed = {name: location for name, location in cameras.items() if location.success}
-    if not placed:
-        return Rig({**cameras, **inputs.unusable}, warnings=warnings)
+    warnings = (*inputs.cameras.warnings, *made.warnings, *located.warnings)
+    if located.model is None or not placed:
+        return Rig(cameras, warnings=warnings)
 
-    if made.are_own:
-        assert model.colmap is not None  # of `reconstruct`
-        whole = model.colmap
-        by_file = {image.name: image.image_id for image in whole.images.values()}
-        ids = {name: by_file[inputs.pictures[name].name] for name in placed}
-    elif made.batch is None:
-        whole, ids = extended(model, placed, inputs.pictures)
-    else:
-        whole, ids, placed = adjusted(model, placed, inputs.pictures)
+    whole, ids, placed = _adjusted(inputs, made, located.model, placed)
     before = _spread(whole)
-    metric = to_metres(whole, inputs.images, inputs.options.reconstruction, inputs.known)
+    metric: dict[str, Any] = {}
+    not_in_metres = ""
+    try:
+        metric = to_metres(whole, inputs.images, inputs.options.reconstruction, inputs.known)
+    except (MappingError, InputError) as error:
+        not_in_metres = str(error)
     scale = _spread(whole) / before
-    poses = {name: whole.images[ids[name]].cam_from_world().matrix() for name in placed}
-    placed = {name: in_metres(placed[name], poses[name], scale) for name in placed}
-    model = _written(whole, inputs.images, inputs.out)
+    for name, location in placed.items():
+        pose = whole.images[ids[name]].cam_from_world().matrix()
+        placed[name] = in_metres(location, pose, scale)
+    model = _in_one_folder(whole, inputs.images)
+    write_models(inputs.out, [model])
     warnings += (*metric.pop("warnings", ()), *_same_poses(placed))
-    return Rig({**cameras, **placed, **inputs.unusable}, model, metric, warnings)
+    return Rig(cameras | placed, model, metric, warnings, not_in_metres)
 
 
-def _located(
-    locators: Sequence[Locator], inputs: RigInputs, progress: Progress, *, own: bool
-) -> tuple[Model, dict[str, Location]]:
-    """The model in which most cameras are located, and the locations in it. For a camera located
-    only in another model, the reason states it. own: whether the models contain the pictures."""
+@dataclass(frozen=True, eq=False)
+class _Located:
+    """The cameras in the model that places most of them."""
+
+    cameras: dict[str, Location]  # by name
+    model: Model | None = None  # None: there is no model
+    warnings: tuple[str, ...] = ()
+
+
+def _located(inputs: RigInputs, made: _MadeModels, progress: Progress) -> _Located:
+    """The cameras located in each model. For a camera located only in another model than the best,
+    the reason states it."""
+    pictures = inputs.cameras.pictures
+    if not made.models:
+        return _Located(dict.fromkeys(pictures, Location("nowhere", made.why_none, ())))
+    matcher = inputs.options.matcher.load(ImageCache())
+    masks = inputs.cameras.masks if made.are_own else None
+    locators = [Locator(model, matcher, inputs.options.estimation, masks) for model in made.models]
     each = list[dict[str, Location]]()
     for locator in locators:
         each.append({})
-        for name, picture in inputs.pictures.items():
-            itself = [picture.name] if own else []
-            image = masked(load_image(picture), mask_file(inputs.masks, picture.name))
-            location = locator.locate(image, inputs.exact.get(name), excluded=itself, whole=True)
+        for name, picture in pictures.items():
+            image = masked(load_image(picture), mask_file(inputs.cameras.masks, picture.name))
+            itself = [picture.name] if made.are_own else []
+            K = inputs.cameras.exact.get(name)
+            location = locator.locate(image, K, excluded=itself, whole=True)
             each[-1][name] = _checked(location, name, locator)
-            progress("cameras", sum(map(len, each)), len(locators) * len(inputs.pictures))
-    best = int(np.argmax([sum(of.success for of in located.values()) for located in each]))
+            progress("cameras", sum(map(len, each)), len(locators) * len(pictures))
+    counts = [sum(location.success for location in found.values()) for found in each]
+    best = int(np.argmax(counts))
     cameras = dict(each[best])
-    for located in each:
-        for name, of in located.items():
-            if of.success and not cameras[name].success:
+    for found in each:
+        for name, location in found.items():
+            if location.success and not cameras[name].success:
                 why = "located in another model of the walk: take pictures that connect the two"
                 cameras[name] = replace(cameras[name], reason=why)
-    return locators[best].model, cameras
+    model = made.models[best]
+    warnings = [why for locator in locators for why in locator.bad.values()]
+    walked = sum(name.startswith(WALK) for name in inputs.images)
+    if len(model.poses) < walked:
+        warnings.append(f"{len(model.poses)} of {walked} photographs of the walk are in its model")
+    if made.are_own and made.batch is not None:
+        files = {name: picture.name for name, picture in pictures.items()}
+        cameras = in_model_of_batch(cameras, files, model, made.batch)
+    return _Located(cameras, model, tuple(warnings))
 
 
 def _checked(location: Location, name: str, locator: Locator) -> Location:
@@ -250,22 +295,36 @@ def _checked(location: Location, name: str, locator: Locator) -> Location:
     return Location("nowhere", reason, matched, warnings=location.warnings)
 
 
+def _adjusted(
+    inputs: RigInputs, made: _MadeModels, model: Model, placed: dict[str, Location]
+) -> tuple[pycolmap.Reconstruction, dict[str, int], dict[str, Location]]:
+    """COLMAP's form of the model with the placed cameras, their image ids, and their locations
+    after the adjustment; a finished model stays as it is."""
+    pictures = inputs.cameras.pictures
+    if made.are_own:
+        assert model.colmap is not None  # of `upright_model`
+        by_file = {image.name: image.image_id for image in model.colmap.images.values()}
+        return model.colmap, {name: by_file[pictures[name].name] for name in placed}, placed
+    if made.batch is None:
+        return *extended(model, placed, pictures), placed
+    return adjusted(model, placed, pictures)
+
+
 def _spread(whole: pycolmap.Reconstruction) -> float:
     """The root of the summed squared distances of the images' centres from their mean."""
     centres = np.array([i.projection_center() for i in whole.images.values() if i.has_pose])
     return float(np.linalg.norm(centres - centres.mean(0)))
 
 
-def _written(whole: pycolmap.Reconstruction, paths: Mapping[str, Path], out: Path) -> Model:
-    """Write COLMAP's model and the points, and read the model. Image names become relative to a
-    folder that contains all images."""
-    every = {name: os.path.abspath(path) for name, path in paths.items()}
-    root = os.path.commonpath([os.path.dirname(path) for path in every.values()])
+def _in_one_folder(whole: pycolmap.Reconstruction, images: Mapping[str, Path]) -> Model:
+    """The model of images by their names relative to a folder that contains all of them. images:
+    by their names before, the files."""
+    paths = {name: os.path.abspath(path) for name, path in images.items()}
+    root = os.path.commonpath([os.path.dirname(path) for path in paths.values()])
     for image in whole.images.values():
-        if image.name in every:
-            image.name = Path(os.path.relpath(every[image.name], root)).as_posix()
-    (model,) = write_models(out, [whole], Path(root))
-    return model
+        if image.name in paths:
+            image.name = Path(os.path.relpath(paths[image.name], root)).as_posix()
+    return upright_model(whole, Path(root))
 
 
 def _same_poses(cameras: Mapping[str, Location]) -> tuple[str, ...]:

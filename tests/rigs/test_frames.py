@@ -27,7 +27,7 @@ def save(path: Path, pixels: np.ndarray = SCENE, orientation: int = 1) -> Path:
 
 def still(folder: Path, name: str, *paths: Path) -> Path:
     """The still picture of a camera with these frames."""
-    return still_picture({path: load_image(path) for path in paths}, name, folder)
+    return still_picture({path: load_image(path) for path in paths}, name, folder, folder)
 
 
 def test_an_entry_of_the_folder_is_a_camera(tmp_path: Path) -> None:
@@ -120,7 +120,7 @@ def test_files_that_cannot_be_read_displace_no_other(tmp_path: Path) -> None:
     (rig / "south.mp4").write_text("not a video")
     found = camera_frames(rig, tmp_path / "videos")
     assert found.frames == {"many": fine, "south": [south]}
-    stills = still_pictures(found, tmp_path)
+    stills = still_pictures(found, tmp_path, tmp_path)
     assert {*stills.pictures} == {*found.frames} and not stills.bad
     no_video = f"{rig / 'south.mp4'} is not a video that can be read"
     assert {*stills.lines} == {no_video, *(f"{path}: empty" for path in empty)}
@@ -142,7 +142,7 @@ def test_bad_pictures_are_told_and_the_others_are_there(tmp_path: Path) -> None:
         (rig / "none" / name).unlink()
     found = camera_frames(rig, tmp_path / "videos")
     assert not found.skipped
-    stills = still_pictures(found, tmp_path)
+    stills = still_pictures(found, tmp_path, tmp_path)
     reasons = stills.bad
     assert {*stills.pictures} == {"fine", "many"}
     assert {*reasons} == {path.stem for path in bad} | {"video", "none"}
