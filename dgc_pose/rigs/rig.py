@@ -32,7 +32,7 @@ from dgc_pose.colmap.reconstruction import (
     to_metres,
     write_models,
 )
-from dgc_pose.errors import InputError
+from dgc_pose.errors import ArgumentName, DgcPoseError, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.images.cache import ImageCache
@@ -73,15 +73,14 @@ class Rig:
         model: The walk and the placed cameras with 3D points; None if no camera is placed.
         metric: The unit, the frame and the error of the scale; empty up to scale.
         warnings: Sentences for the user.
-        not_in_metres: Why the rig is up to scale in spite of an option for metres; empty if it is
-            not.
+        not_in_metres: The error for which the rig is up to scale in spite of an option for metres.
     """
 
     cameras: Mapping[str, Location]
     model: Model | None = None
     metric: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
-    not_in_metres: str = ""
+    not_in_metres: DgcPoseError | None = None
 
     @property
     def placed(self) -> dict[str, Location]:
@@ -218,11 +217,12 @@ def _placed_rig(inputs: RigInputs, made: _MadeModels, progress: Progress) -> Rig
     whole, ids, placed = _adjusted(inputs, made, located.model, placed)
     before = _spread(whole)
     metric: dict[str, Any] = {}
-    not_in_metres = ""
+    not_in_metres: DgcPoseError | None = None
     try:
+        _require_scaled_placed(inputs.options.reconstruction.scale, placed)
         metric = to_metres(whole, inputs.images, inputs.options.reconstruction, inputs.known)
     except (MappingError, InputError) as error:
-        not_in_metres = str(error)
+        not_in_metres = error
     scale = _spread(whole) / before
     for name, location in placed.items():
         pose = whole.images[ids[name]].cam_from_world().matrix()
@@ -308,6 +308,13 @@ def _adjusted(
     if made.batch is None:
         return *extended(model, placed, pictures), placed
     return adjusted(model, placed, pictures)
+
+
+def _require_scaled_placed(scale: str | None, placed: Mapping[str, Location]) -> None:
+    """Raise InputError if the option `scale` names a camera without a place."""
+    for name in scale.split(",")[:2] if scale else ():
+        if name not in placed:
+            raise InputError(ArgumentName("scale"), f"names {name}, which has no place")
 
 
 def _spread(whole: pycolmap.Reconstruction) -> float:

@@ -245,6 +245,31 @@ def test_of_two_cameras_the_second_is_relative_to_the_first() -> None:
     assert moved.moved and abs(moved.angle_deg - 1) < 0.1
 
 
+@pytest.mark.parametrize("count", [2, 3, 5])
+@pytest.mark.parametrize("seed", range(3))
+def test_two_cameras_that_changed_places(count: int, seed: int) -> None:
+    """Their focal lengths are compared with those of the other place. A third camera that moved
+    counts as moved."""
+    before = poses(count, seed)
+    after = before | {"cam0": before["cam1"], "cam1": before["cam0"]}
+    if count == 5:
+        R, centre = before["cam3"]
+        after["cam3"] = R, centre + (0.3, 0, 0)
+    changes = compared(stated(before), located(after), {"cam0": CAMERA.with_focal(490)})
+    swapped = {"cam0": "cam1", "cam1": "cam0"}
+    names = [*before][count == 2 :]
+    assert [change.name for change in changes] == names
+    assert [change.place_of for change in changes] == [swapped.get(name) for name in names]
+    moved = {*swapped, "cam3"} if count == 5 else {*swapped}
+    assert [change.moved for change in changes] == [name in moved for name in names]
+    second = changes[names.index("cam1")]
+    assert second.angle_deg < 0.1 and second.distance < 0.01
+    assert second.focal_change == pytest.approx(100 * (500 / 490 - 1))
+    text = second.text("m")
+    assert text.startswith("cam1 is where cam0 was, to 0.0")
+    assert text.endswith("focal length +2.04 %: the two, or their pictures, changed places")
+
+
 def test_two_cameras_are_needed() -> None:
     with pytest.raises(InputError, match="^start has 1 of the 3 cameras, and two are needed$"):
         compared(stated(poses(1)), located(poses(3)), {})

@@ -252,6 +252,8 @@ def _toml_text(tables: Mapping[str, Mapping[str, Any]]) -> str:
     """A TOML of tables whose values are written as in JSON."""
     lines = []
     for name, table in tables.items():
-        values = [f"{key} = {json.dumps(of, ensure_ascii=False)}" for key, of in table.items()]
+        values = [
+            f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in table.items()
+        ]
         lines += [f"[{name}]", *values, ""]
     return "\n".join(lines)
