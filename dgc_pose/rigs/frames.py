@@ -22,6 +22,7 @@ _FRAMES = ArgumentName("frames")
 _MOST_FRAMES = 15  # read from each camera
 _CHANGE = 12.0  # grey levels; a pixel that differs more from the still picture is moving
 _STAYING = 0.7  # least share of frames in which a static pixel matches the still picture
+_RESERVED = ("cameras", "metadata")  # keys of the TOML files
 _LEAST_SIDE = 15  # of a static part, pixels; smaller ones are masked
 
 
@@ -48,7 +49,8 @@ def camera_frames(folder: Path, videos: Path, others: Collection[Path] = ()) -> 
     image, a video, or a folder of frames.
 
     videos: folder for the frames of videos. others: files and folders that are not cameras. Raises
-    InputError for fewer than two cameras, and for two cameras with one name.
+    InputError for fewer than two cameras, for two cameras with one name, and for the names that the
+    TOML files of a rig reserve.
     """
     if not folder.is_dir():
         raise InputError(_FRAMES, f"{folder}: no such folder")
@@ -77,6 +79,8 @@ def camera_frames(folder: Path, videos: Path, others: Collection[Path] = ()) -> 
         if not found and not bad:
             skipped.append(entry.name)
             continue
+        if name in _RESERVED:
+            raise InputError(_FRAMES, f"{entry}: the files of a rig have no camera of this name")
         if found and cameras.get(name):
             raise InputError(_FRAMES, f"{folder}: two cameras have the name {name}")
         cameras[name] = cameras.get(name) or found[:: -(-len(found) // _MOST_FRAMES) or 1]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
@@ -32,7 +33,7 @@ from dgc_pose.colmap.reconstruction import (
     to_metres,
     write_models,
 )
-from dgc_pose.errors import ArgumentName, DgcPoseError, InputError
+from dgc_pose.errors import ArgumentName, DgcPoseError, InputError, shortened
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.images.cache import ImageCache
@@ -156,11 +157,13 @@ def _made_models(inputs: RigInputs, progress: Progress) -> _MadeModels:
     if walk is None:
         photographs = _own_photographs(inputs.cameras)
         mapping = replace(inputs.options.reconstruction, min_images=2, refine_centres=False)
-        why_none = "the cameras' own pictures make no model; photographs between them would"
+        no_model = "the cameras' own pictures make no model"
+        hint = "; photographs between them would"
     else:
         photographs = walk
         mapping = replace(inputs.options.reconstruction, refine_centres=True)
-        why_none = "the walk makes no model: "
+        no_model = "the walk makes no model"
+        hint = ""
         if len(walk.source.names) > _SIMILAR + 1:
             pairs = PairChoice("auto", _SIMILAR)
         if estimation.effort == "auto":  # corners are aligned at full resolution later
@@ -180,11 +183,19 @@ def _made_models(inputs: RigInputs, progress: Progress) -> _MadeModels:
     try:
         with only_writer(inputs.out):
             found, _ = mapped(batch, inputs.out, mapping)
-    except (NoModelError, NoPairError) as error:
-        why_none += str(error) if walk is not None else ""
+    except (NoModelError, NoPairError):
+        why_none = f"{no_model} ({_pairs_text(batch)}){hint}"
         return _MadeModels([], batch, walk is None, why_none, warnings)
     models = [upright_model(model, batch.plan.root) for model in found]
     return _MadeModels(models, batch, walk is None, warnings=warnings)
+
+
+def _pairs_text(batch: Batch) -> str:
+    """How many pairs have a pose, and the statuses of the others, the most frequent first."""
+    posed = sum(row.success for row in batch.rows)
+    others = Counter(row.status for row in batch.rows if not row.success)
+    counts = [f"{count} {status}" for status, count in others.most_common()]
+    return ", ".join([f"{posed} of {len(batch.rows)} pairs have a pose", *counts])
 
 
 def _remove_results(out: Path) -> None:
@@ -271,9 +282,10 @@ def _located(inputs: RigInputs, made: _MadeModels, progress: Progress) -> _Locat
                 cameras[name] = replace(cameras[name], reason=why)
     model = made.models[best]
     warnings = [why for locator in locators for why in locator.bad.values()]
-    walked = sum(name.startswith(WALK) for name in inputs.images)
-    if len(model.poses) < walked:
-        warnings.append(f"{len(model.poses)} of {walked} photographs of the walk are in its model")
+    walked = [name.removeprefix(WALK) for name in inputs.images if name.startswith(WALK)]
+    if missing := [name for name in walked if name not in model.poses]:
+        count = f"{len(missing)} of {len(walked)} photographs of the walk are not in its model"
+        warnings.append(f"{count}: {shortened(', '.join(missing))}")
     if made.are_own and made.batch is not None:
         files = {name: picture.name for name, picture in pictures.items()}
         cameras = in_model_of_batch(cameras, files, model, made.batch)

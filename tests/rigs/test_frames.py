@@ -63,6 +63,10 @@ def test_what_is_no_rig_is_refused(tmp_path: Path) -> None:
     save(rig / "a" / "0.png")
     with pytest.raises(InputError, match="rig: two cameras have the name a$"):
         camera_frames(rig, videos)
+    for name in ("cameras", "metadata"):
+        save(tmp_path / name / f"{name}.png")
+        with pytest.raises(InputError, match=f"{name}\\.png: the files of a rig have no camera of"):
+            camera_frames(tmp_path / name, videos)
 
 
 def test_a_single_picture_is_copied_and_a_turned_one_is_upright(tmp_path: Path) -> None:

@@ -204,7 +204,7 @@ def test_without_a_model_each_camera_has_a_reason(tmp_path: Path, *, walked: boo
         location = rig.cameras[path.stem]
         assert location.status == "bad_input" and BAD_PICTURES[path.name] in location.reason
     assert rig.cameras["north"].status == "nowhere"
-    why = "the walk makes no model: " if walked else "the cameras' own pictures make no model"
+    why = "the walk makes no model" if walked else "the cameras' own pictures make no model"
     assert why in rig.cameras["north"].reason
     told = [name for name in BAD_PICTURES if any(name in line for line in rig.warnings)]
     assert told == [path.name for path in bad] * walked
