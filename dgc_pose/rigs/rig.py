@@ -113,8 +113,10 @@ def estimate_rig(
     with the stage, the number done, and the total.
 
     A camera whose picture is unusable has the status "bad_input"; without a model, all others have
-    "nowhere". Raises InputError for an unusable K or scale, and for an existing result without
-    `resume` in `work`; ImageError; OSError.
+    "nowhere". Metres that the located cameras do not determine leave the rig up to scale, see
+    `Rig.not_in_metres`. Raises InputError, before the matching, for an unusable K or scale, for
+    cameras with one name or picture, for a marker or positions that the images lack, and for an
+    existing result without `resume` in `work`; ImageError; OSError.
     """
     out = Path(out)
     options = RigOptions(
@@ -146,7 +148,6 @@ class _MadeModels:
 
 def _made_models(inputs: RigInputs, progress: Progress) -> _MadeModels:
     """The finished model, or the models of the walk or of the cameras' own pictures."""
-    _remove_results(inputs.out)
     if not inputs.cameras.pictures:
         return _MadeModels([])
     walk = inputs.walk
@@ -217,6 +218,7 @@ def _own_photographs(cameras: FixedCameras) -> Photographs:
 
 def _placed_rig(inputs: RigInputs, made: _MadeModels, progress: Progress) -> Rig:
     """The cameras placed in a model, adjusted with it, in metres, and written with it."""
+    _remove_results(inputs.out)
     located = _located(inputs, made, progress)
     unusable = inputs.cameras.unusable.items()
     cameras = located.cameras | {name: Location("bad_input", why, ()) for name, why in unusable}

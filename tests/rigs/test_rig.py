@@ -130,7 +130,7 @@ def test_metres_without_a_camera_leave_the_rig_up_to_scale(tmp_path: Path) -> No
 def test_no_metres_are_told_before_the_matching(
     tmp_path: Path, options: dict[str, object], why: str
 ) -> None:
-    """And the results of an earlier run stay."""
+    """The results of an earlier run stay."""
     frames, out = write_cameras(tmp_path / "frames", "north", "south"), tmp_path / "out"
     write_views(tmp_path / "walk", render_views(3))
     out.mkdir()
@@ -141,6 +141,32 @@ def test_no_metres_are_told_before_the_matching(
         estimate_rig(frames, out, tmp_path / "walk", reconstruction=metres, **again)
     assert {path.name for path in out.iterdir()} <= {"rig.json", "rig_pictures"}
     assert (out / "rig.json").read_text() == "{}"
+
+
+def test_a_batch_that_is_refused_leaves_the_results(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of the earlier run; one that ends without a model removes them."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise InputError("other settings")
+
+    frames, out = write_cameras(tmp_path / "frames", "north", "zoo"), tmp_path / "out"
+    (out / "sparse").mkdir(parents=True)
+    earlier = [
+        out / name for name in ("rig.json", "points.ply", "model.html", "sparse/cameras.bin")
+    ]
+    for path in earlier:
+        path.write_text("")
+    again = QUICK | {"work": BatchOptions(workers=1, resume=True)}
+    with monkeypatch.context() as patched, pytest.raises(InputError, match="other settings"):
+        patched.setattr("dgc_pose.rigs.rig.run_batch", refuse)
+        estimate_rig(frames, out, **again)
+    assert all(path.exists() for path in earlier)
+    rig = estimate_rig(frames, out, **again)
+    assert rig.model is None and not any(path.exists() for path in earlier)
+    reason = "the cameras' own pictures make no model (0 of 1 pairs have a pose, 1 "
+    assert rig.cameras["zoo"].reason.startswith(reason)
 
 
 def test_the_mask_of_a_camera_is_not_that_of_a_photograph(
