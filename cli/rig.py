@@ -77,6 +77,7 @@ def rig(frames: Path, out: Path, choice: RigChoice) -> int:
     from dgc_pose.colmap.reconstruction import MappingError
     from dgc_pose.model import load_model
     from dgc_pose.rigs.files import FILES, RIG, compared, write_rig
+    from dgc_pose.rigs.inputs import PICTURES
     from dgc_pose.rigs.rig import estimate_rig
     from dgc_pose.system.files import require_no_input, write_text
     from dgc_pose.viz.model_page import model_page
@@ -126,7 +127,7 @@ def rig(frames: Path, out: Path, choice: RigChoice) -> int:
         click.echo(str(path))
     if found.model is None:
         return NO_POSE
-    write_text(out / PAGE, model_page(found.model, unit))
+    write_text(out / PAGE, model_page(found.model, unit, cameras=out / PICTURES))
     click.echo(f"{out / PAGE}: cameras with their pictures, and points, for a browser")
     if before is not None:
         try:

@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+KEYS = {"Tab": 9, "Enter": 13, "Escape": 27}  # by name, with the code of Windows
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 FLAGS = (
     "--headless=new",
@@ -69,6 +70,31 @@ class Page:
 
     def click(self, selector: str) -> None:
         self.evaluate(f"document.querySelector({selector!r}).click()")
+
+    def drag(self, *places: tuple[float, float]) -> None:
+        """Press the mouse at the first place and release it at the last one, CSS pixels."""
+        mouse = "Input.dispatchMouseEvent"
+        pressed = {"button": "left", "clickCount": 1}
+        (x, y), *others = places
+        self._call(mouse, type="mouseMoved", x=x, y=y)
+        self._call(mouse, type="mousePressed", x=x, y=y, **pressed)
+        for x, y in others:
+            self._call(mouse, type="mouseMoved", x=x, y=y, button="left", buttons=1)
+        self._call(mouse, type="mouseReleased", x=x, y=y, **pressed)
+
+    def tap(self, x: float, y: float) -> None:
+        """Touch a place with a finger."""
+        touch = "Input.dispatchTouchEvent"
+        self._call(touch, type="touchStart", touchPoints=[{"x": x, "y": y}])
+        self._call(touch, type="touchEnd", touchPoints=[])
+
+    def press(self, *keys: str) -> None:
+        """Press keys of `KEYS`, one after the other."""
+        for key in keys:
+            text = {"text": "\r"} if key == "Enter" else {}
+            named = {"key": key, "code": key, "windowsVirtualKeyCode": KEYS[key]}
+            self._call("Input.dispatchKeyEvent", type="keyDown", **named, **text)
+            self._call("Input.dispatchKeyEvent", type="keyUp", **named)
 
     def choose(self, selector: str, *files: Path) -> None:
         """Choose files in an input, as by its dialogue."""

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 # Folders in that of a rig: for the cameras' pictures and masks, and for the frames of videos
 _OWN = "rig_pictures"
-_PICTURES = f"{_OWN}/cameras"
+PICTURES = f"{_OWN}/cameras"
 _MASKS = f"{_OWN}/masks"
 _FRAMES = f"{_OWN}/frames"
 _WALK_OF = f"{_OWN}/walk_of_"
@@ -127,11 +127,11 @@ def fixed_cameras(
     if options.scale:
         known_metres({name: frames / name for name in found.frames}, options)
     (out / _OWN).mkdir(parents=True, exist_ok=True)
-    with replaced_folder(out / _PICTURES) as folder, replaced_folder(out / _MASKS) as masks:
+    with replaced_folder(out / PICTURES) as folder, replaced_folder(out / _MASKS) as masks:
         stills = still_pictures(found, folder, masks)
         if options.scale:
             _require_scaled(stills, options.scale)
-    pictures = {name: out / _PICTURES / path.name for name, path in stills.pictures.items()}
+    pictures = {name: out / PICTURES / path.name for name, path in stills.pictures.items()}
     warnings = (*found.skipped, *stills.lines)
     return FixedCameras(pictures, out / _MASKS, exact, stills.bad, warnings)
 

@@ -1,11 +1,13 @@
 """The page of a model: what it holds, and what a browser shows of it."""
 
 import base64
+import importlib
 import io
 import json
 import re
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import dense_scene
@@ -50,10 +52,32 @@ def model(tmp_path_factory) -> Model:
     return replace(world_scene().model(), root=root)
 
 
-def page_of(model: Model, unit: str = "", rejected=()) -> str:
+@pytest.fixture(scope="module")
+def rig(model, tmp_path_factory) -> tuple[Model, Path]:
+    """A model whose r2 and r4 are the fixed cameras "north" and "a.b", the second with a black
+    picture, and the folder of their pictures. A photograph of the walk is a "north.jpg" too."""
+    root = tmp_path_factory.mktemp("rig")
+    moved = {"r0.jpg": "walk/north.jpg", "r2.jpg": "out/cameras/north.jpg"}
+    moved |= {"r4.jpg": "out/cameras/a.b.jpg"}
+    for name in model.poses:
+        path = root / moved.get(name, name)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(model.root / name, path)
+    cv2.imwrite(str(path), np.zeros((*IMAGE[::-1], 3), np.uint8))
+    poses = {moved.get(name, name): pose for name, pose in model.poses.items()}
+    return Model(root, dict.fromkeys(poses, CAMERA), poses), root / "out" / "cameras"
+
+
+def page_of(model: Model, unit: str = "", rejected=(), cameras: Path | None = None) -> str:
     points = world_scene().points
     colours = np.full(points.shape, 128, np.uint8)
-    return model_page(replace(model, points=points, colours=colours), unit, rejected)
+    coloured = replace(model, points=points, colours=colours)
+    return model_page(coloured, unit, rejected, cameras)
+
+
+def photograph_of(camera: dict) -> Image.Image:
+    encoded = camera["photograph"].removeprefix("data:image/jpeg;base64,")
+    return Image.open(io.BytesIO(base64.b64decode(encoded)))
 
 
 def content_of(page: str) -> dict:
@@ -71,9 +95,42 @@ def test_the_page_is_one_file_with_all_cameras(model):
     content = content_of(page)
     assert content["rejected"] == [[1, 3]]
     assert [camera["label"] for camera in content["cameras"]] == ["r0", "r1", "r2", "r3", "r4"]
-    for camera in content["cameras"]:
-        photograph = base64.b64decode(camera["photograph"].removeprefix("data:image/jpeg;base64,"))
-        assert Image.open(io.BytesIO(photograph)).size == (160, 128)
+    for name, camera in zip(sorted(model.poses), content["cameras"], strict=True):
+        assert photograph_of(camera).size == (960, 768)
+        centre = ", ".join(f"{value:.4g}" for value in model.centre(name))
+        assert camera["facts"] == f"centre ({centre}) m, f = 902.5 px, 1000 x 800 pixels"
+
+
+def test_a_rig_has_fixed_cameras_and_a_walk(rig):
+    model, pictures = rig
+    page = page_of(model, "m", cameras=pictures)
+    assert "<h1>a.b, north</h1>" in page
+    one, two = (model.centre(f"out/cameras/{name}.jpg") for name in ("north", "a.b"))
+    apart = f"cameras up to {np.linalg.norm(one - two):.3g} m apart"
+    assert f"<p>2 fixed cameras, a walk of 3, 300 points; {apart}</p>" in page
+    kinds = {"fixed": {}, "walk": {}}
+    for camera in content_of(page)["cameras"]:
+        centre, *corners = np.array(camera["corners"])
+        kinds[camera["kind"]][camera["label"]] = np.linalg.norm(corners - centre, axis=1)
+    assert {kind: [*cameras] for kind, cameras in kinds.items()} == {
+        "fixed": ["a.b", "north"],
+        "walk": ["r1", "r3", "north"],
+    }
+    assert max(map(np.max, kinds["walk"].values())) < min(map(np.min, kinds["fixed"].values())) / 2
+    alone = page_of(model, cameras=pictures.parent)
+    assert not any("kind" in camera for camera in content_of(alone)["cameras"])
+
+
+def test_many_photographs_are_small(model, rig, monkeypatch):
+    """But not those of fixed cameras."""
+    module = importlib.import_module("dgc_pose.viz.model_page")  # the package has its function
+    monkeypatch.setattr(module, "_PIXELS", 5 * 400**2)
+    shown = content_of(page_of(model))["cameras"]
+    assert {photograph_of(camera).size for camera in shown} == {(400, 320)}
+    monkeypatch.setattr(module, "_PIXELS", 1)
+    shown = content_of(page_of(rig[0], cameras=rig[1]))["cameras"]
+    sizes = {(camera["kind"], photograph_of(camera).size) for camera in shown}
+    assert sizes == {("fixed", (960, 768)), ("walk", (160, 128))}
 
 
 def test_names_of_any_bytes_are_text(model, tmp_path):
@@ -148,4 +205,38 @@ def test_a_browser_shows_the_photographs_upright(browser, model, tmp_path):
         assert place[left][0] + 5 < place[right][0]
     for upper, lower in (("red", "yellow"), ("green", "blue")):
         assert place[upper][1] + 5 < place[lower][1]
+    assert browser.errors == []
+
+
+@pytest.mark.slow
+def test_a_camera_opens_its_picture(browser, rig, tmp_path):
+    """By the mouse, a finger and the keyboard; not by a drag, which rotates."""
+    model, pictures = rig
+    path = tmp_path / "model.html"
+    path.write_text(page_of(model, cameras=pictures), encoding="utf-8")
+    browser.open_anew(path.as_uri())
+    browser.wait("document.querySelector('canvas').children.length === 5")
+    left, top = browser.evaluate(
+        "(({ left, top }) => [left, top])(document.querySelector('canvas').getBoundingClientRect())"
+    )
+    x, y, count = browser.evaluate(f"{PLACE}({list(QUARTERS['red'])})")
+    assert count > 100
+    place = (left + x, top + y)
+    opened = "document.querySelector('dialog').open"
+    for open_it in (lambda: browser.drag(place), lambda: browser.tap(*place)):
+        open_it()
+        browser.wait(opened)
+        facts = browser.evaluate("document.querySelector('figcaption').textContent")
+        assert facts.startswith("northcentre (") and facts.endswith(
+            "f = 902.5 px, 1000 x 800 pixels"
+        )
+        assert browser.evaluate("document.querySelector('dialog img').naturalWidth") == 960
+        browser.press("Escape")
+        browser.wait(f"!{opened}")
+    browser.drag(place, (place[0] + 40, place[1]), place)
+    browser.evaluate("document.querySelector('canvas').focus()")
+    assert not browser.evaluate(opened)
+    browser.press("Tab", "Tab", "Enter")
+    browser.wait(opened)
+    assert browser.text("#whose") == "north"
     assert browser.errors == []
