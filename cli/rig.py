@@ -70,7 +70,8 @@ def rig(frames: Path, out: Path, choice: RigChoice) -> int:
     Writes calibration.toml (anipose, Pose2Sim), camera_array.toml (caliscope), rig_config.json
     (COLMAP), stereo.yml (OpenCV, for two cameras), rig.json with the expected errors, sparse/
     (COLMAP model of walk and cameras), points.ply and model.html. A camera whose picture cannot be
-    used is named and not placed. Exits with 3 if no camera could be placed.
+    used is named and not placed. Exits with 3 if no camera could be placed, with 2 if the rig stays
+    up to scale in spite of --gps, --scale or --marker.
     """
     from dgc_pose.batch.source import PAGE
     from dgc_pose.cameras.formats.recognise import read_file

@@ -105,12 +105,13 @@ def estimate_rig(
     """Estimate the poses cam_from_world of fixed cameras in one frame: x = R X + t.
 
     frames: folder with an entry for each camera, which names the camera: an image, a video, or a
-    folder of frames. Parts that move between frames are not matched. out: folder for the model and
-    the cameras' pictures. walk: photographs taken between the cameras: a folder, a video, or a
-    finished model, which is not changed; None if the cameras' views overlap. K: by camera name, as
-    for `estimate_relative_pose`; the focal length and lens of all others are estimated. walk_K: of
-    the walk, a text as for --K. reconstruction: includes the options for metres. progress: called
-    with the stage, the number done, and the total.
+    folder of frames. Frames in another position than most, and parts that move between frames, are
+    not matched. out: folder for the model and the cameras' pictures. walk: photographs taken
+    between the cameras: a folder, a video, or a finished model, which is not changed; None if the
+    cameras' views overlap. K: by camera name, as for `estimate_relative_pose`; the focal length and
+    lens of all others are estimated. walk_K: of the walk, a text as for --K. reconstruction:
+    includes the options for metres. progress: called with the stage, the number done, and the
+    total.
 
     A camera whose picture is unusable has the status "bad_input"; without a model, all others have
     "nowhere". Metres that the located cameras do not determine leave the rig up to scale, see
