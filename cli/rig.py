@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -69,13 +70,16 @@ def rig(frames: Path, out: Path, choice: RigChoice) -> int:
     Writes calibration.toml (anipose, Pose2Sim), camera_array.toml (caliscope), rig_config.json
     (COLMAP), stereo.yml (OpenCV, for two cameras), rig.json with the expected errors, sparse/
     (COLMAP model of walk and cameras), points.ply and model.html. A camera whose picture cannot be
-    used is named and not placed. Exits with 3 if no camera could be placed.
+    used is named and not placed. Exits with 3 if no camera could be placed, with 2 if the rig stays
+    up to scale in spite of --gps, --scale or --marker.
     """
     from dgc_pose.batch.source import PAGE
     from dgc_pose.cameras.formats.recognise import read_file
+    from dgc_pose.colmap.reconstruction import MappingError
     from dgc_pose.model import load_model
-    from dgc_pose.rigs.files import FILES, compared, write_rig
-    from dgc_pose.rigs.rig import PICTURES, estimate_rig
+    from dgc_pose.rigs.files import FILES, RIG, compared, write_rig
+    from dgc_pose.rigs.inputs import PICTURES
+    from dgc_pose.rigs.rig import estimate_rig
     from dgc_pose.system.files import require_no_input, write_text
     from dgc_pose.viz.model_page import model_page
 
@@ -117,7 +121,10 @@ def rig(frames: Path, out: Path, choice: RigChoice) -> int:
     }
     name_bad_images(bad, found.cameras)
     click.echo(rig_text(found))
-    for path in write_rig(out, found.cameras, found.metric, found.warnings):
+    warnings = list(found.warnings)
+    if found.not_in_metres is not None:
+        warnings.append(f"not in metres: {found.not_in_metres}")
+    for path in write_rig(out, found.cameras, found.metric, warnings):
         click.echo(str(path))
     if found.model is None:
         return NO_POSE
@@ -129,6 +136,9 @@ def rig(frames: Path, out: Path, choice: RigChoice) -> int:
                 click.echo(change.text(unit))
         except InputError as error:  # the rig itself is written
             to_stderr(f"warning: {error}")
+    if found.not_in_metres is not None:
+        hint = ArgumentName("resume"), "with another scale keeps the matches:"
+        raise MappingError(out / RIG, "is up to scale, and", *hint, *found.not_in_metres.args)
     return 0
 
 
@@ -144,11 +154,15 @@ def _stated(text: str, frames: Path) -> Sequence[tuple[str, str | Camera]]:
     FRAMES."""
     from dgc_pose.cameras.formats.recognise import read_file
 
+    names = _names(frames)
     name, equals, K = text.partition("=")
+    for longer in names:  # a name may contain =
+        if text.startswith(f"{longer}=") and len(longer) > len(name):
+            name, K = longer, text.removeprefix(f"{longer}=")
     if equals and not os.path.lexists(text):
-        return [(name, K)]
+        return [(unicodedata.normalize("NFC", name), K)]
     file: Calibration = read_file(Path(text))
-    cameras, names = file.parts or file.by_name, _names(frames)
+    cameras = file.parts or file.by_name
     stated = [(name, camera) for name, camera in cameras.items() if name in names]
     if not stated:
         raise InputError(

@@ -15,7 +15,7 @@ import numpy as np
 
 from dgc_pose.cameras.by_image import Calibration, orientation_of
 from dgc_pose.cameras.camera import Camera, colmap_camera, matrix_camera
-from dgc_pose.cameras.formats.colmap import read_model
+from dgc_pose.cameras.formats.colmap import model_calibration, read_model
 from dgc_pose.cameras.formats.recognise import read_file
 from dgc_pose.errors import ArgumentName, DgcPoseError, ImageError, InputError
 from dgc_pose.geometry.pixels import exif_turn, turn_points
@@ -168,6 +168,20 @@ def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -
     file, colmap = read_model(path, whole=True) if path.is_dir() else (read_file(path), None)
     if not file.poses:
         raise InputError(ArgumentName("model"), f"{path} has no poses of images")
+    has_points = any((path / f"points3D.{ending}").is_file() for ending in ("bin", "txt"))
+    return _upright(file, colmap if has_points else None, path, root)
+
+
+def upright_model(colmap: pycolmap.Reconstruction, root: Path) -> Model:
+    """COLMAP's model of the images in the folder `root`, as `load_model` reads it from a file."""
+    return _upright(model_calibration(colmap, root), colmap, root, root)
+
+
+def _upright(
+    file: Calibration, colmap: pycolmap.Reconstruction | None, path: Path, root: Path
+) -> Model:
+    """The model of upright images. file: the cameras and poses of the images as stored. path: of
+    the file, for errors and for names relative to it."""
     calibration = Calibration(str(path), parts=file.parts, common=file.common)
     names = {name: _image_name(root, name, path.parent) for name in file.poses}
     if len(names) < 2:
@@ -176,8 +190,7 @@ def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -
     count = f"{len(missing)} of {len(names)} images (first: {', '.join(missing[:3])})"
     if len(names) - len(missing) < 2:
         raise InputError(ArgumentName("images"), f"{root} lacks {count} of {path}")
-    has_points = any((path / f"points3D.{ending}").is_file() for ending in ("bin", "txt"))
-    whole = Model.of_colmap(colmap, root) if colmap is not None and has_points else None
+    whole = None if colmap is None else Model.of_colmap(colmap, root)
     cameras, poses, seen = {}, {}, {}
     failures: dict[str, DgcPoseError] = {}
     for stated, name in names.items():

@@ -18,7 +18,7 @@ from dgc_pose.estimation.intrinsics_prior import may_be_crop
 from dgc_pose.estimation.marker_side import marker_side
 from dgc_pose.images.decoding import image_header
 from dgc_pose.images.markers import shared_markers
-from dgc_pose.model import Model, load_model, require_model_folder, write_points
+from dgc_pose.model import Model, require_model_folder, upright_model, write_points
 from dgc_pose.system.colmap_library import pycolmap
 from dgc_pose.system.files import only_writer, replaced, replaced_folder, scratch_folder
 from dgc_pose.system.texts import write_json
@@ -66,40 +66,54 @@ def reconstruct(
     pose; ImageError if an image can no longer be read; OSError if the disk is full.
     """
     options = options or ReconstructionOptions()
-    mapping = replace(options, refine_intrinsics=refines(batch, options))
     plan = batch.plan
     require_model_folder(out / MODEL, several=True)
     out.mkdir(parents=True, exist_ok=True)
     with only_writer(out):
-        shared = share(batch, options.per_image, progress)
-        write_shared(batch, shared, out / DATABASE)
-        found = map_database(out / DATABASE, plan.root, mapping)
-        cameras, whole = plan.final_cameras.items(), options.refine_centres
-        cut = [n for n, c in cameras if may_be_crop(c) or (whole and not c.exact)]
-        for model in found:
-            if cut:
-                adjust(model, cut, centres=True)
+        found, shared = mapped(batch, out, options, progress)
         try:
             metric = to_metres(found[0], {n: plan.root / n for n in plan.names}, options, known)
         except (MappingError, InputError) as error:
             metric = {"not_in_metres": error}
-        models = write_models(out, found, plan.root)
+        models = [upright_model(model, plan.root) for model in found]
+        write_models(out, models)
     if lost := [text for model in models for text in model.warnings]:
         raise ImageError(lost[0])  # the image could be read before the mapping
     return models, shared, metric
 
 
-def write_models(out: Path, found: Sequence[pycolmap.Reconstruction], root: Path) -> list[Model]:
-    """Write `sparse/`, `sparse/1/`, ... and the points of the first model, replacing what is
-    there, and load the models. root: folder that the image names are relative to."""
+def mapped(
+    batch: Batch,
+    out: Path,
+    options: ReconstructionOptions,
+    progress: Callable[[int, int], None] = lambda done, of: None,
+) -> tuple[list[pycolmap.Reconstruction], SharedMatches]:
+    """Write `database.db` into the folder `out` and return COLMAP's models of it, up to scale, the
+    one with the most images first, and their matches. Raises as `reconstruct` does."""
+    shared = share(batch, options.per_image, progress)
+    write_shared(batch, shared, out / DATABASE)
+    mapping = replace(options, refine_intrinsics=refines(batch, options))
+    found = map_database(out / DATABASE, batch.plan.root, mapping)
+    uncertain = [
+        name
+        for name, camera in batch.plan.final_cameras.items()
+        if may_be_crop(camera) or (options.refine_centres and not camera.exact)
+    ]
+    for model in found if uncertain else ():
+        adjust(model, uncertain, centres=True)
+    return found, shared
+
+
+def write_models(out: Path, models: Sequence[Model]) -> None:
+    """Write `sparse/`, `sparse/1/`, ... and the points of the first model, replacing what is there.
+    models: with COLMAP's form."""
     with replaced_folder(out / MODEL) as folder:
-        for number, model in enumerate(found):
+        for number, model in enumerate(models):
+            assert model.colmap is not None
             (folder / str(number or "")).mkdir(exist_ok=True)
-            model.write_binary(folder / str(number or ""))
-    models = [load_model(out / MODEL / str(n or ""), root) for n in range(len(found))]
+            model.colmap.write_binary(folder / str(number or ""))
     with replaced(out / POINTS) as temporary:
         write_points(temporary, models[0].points, models[0].colours)
-    return models
 
 
 def require_new(out: Path, names: Sequence[str], *, resume: bool) -> bool:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.formats.rigs import rig_texts
+from dgc_pose.cameras.formats.rigs import CALIBRATION, rig_texts
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation.result import plain
 from dgc_pose.geometry.rotation import aligning_rotation, rotation_angle_deg
@@ -17,8 +17,8 @@ from dgc_pose.localization.location import Location
 from dgc_pose.system.files import write_text
 from dgc_pose.system.texts import json_text
 
-FILES = ("calibration.toml", "camera_array.toml", "rig_config.json", "stereo.yml", "rig.json")
-_OF_RIG = ("centre", "covariance", "probability", "rotation_error_90_deg", "position_error_90")
+RIG = "rig.json"
+FILES = (CALIBRATION, "camera_array.toml", "rig_config.json", "stereo.yml", RIG)
 _FACTOR = 3.0  # a change above this times the expected error is a motion
 _LEAST_ANGLE_DEG, _LEAST_SHIFT = 0.05, 1e-3  # smaller changes do not count; the shift over extent
 
@@ -31,27 +31,46 @@ def write_rig(
 ) -> list[Path]:
     """Write the files of `rig_texts` and rig.json, each completely or not at all; return the paths.
 
-    rig.json has the tables of calibration.toml, the expected errors, why other cameras have no
-    pose, the warnings, and the names of the files. cameras: by name; the located ones have a camera
-    with a size. metric: the unit of the positions, and facts about it; empty up to scale. Raises as
-    `rig_texts`; OSError, with the path.
+    rig.json names calibration.toml, which has K, lens and pose of each camera, and adds the
+    expected errors and deviations, why other cameras have no pose, the warnings, and the names of
+    the files. cameras: by name; the located ones have a camera with a size. metric: the unit of the
+    positions, and facts about it; empty up to scale. Raises as `rig_texts`; OSError, with the path.
     """
-    views = {name: of.camera for name, of in cameras.items() if of.success and of.camera}
+    placed = {name: location for name, location in cameras.items() if location.success}
+    views = {name: location.camera for name, location in placed.items() if location.camera}
     texts: dict[str, str] = {}
-    tables: dict[str, dict[str, Any]] = {}
     if views:
-        stated = (cameras[name].cam_from_world for name in views)
+        stated = (placed[name].cam_from_world for name in views)
         poses = np.stack([pose for pose in stated if pose is not None])
-        texts, tables = rig_texts(views, poses, metric.get("unit", ""))
-    for name, table in tables.items():
-        table |= {key: plain(getattr(cameras[name], key)) for key in _OF_RIG}
-    not_placed = {name: of.reason for name, of in cameras.items() if not of.success}
-    data = {"unit": "", **metric, "cameras": tables, "not_placed": not_placed}
-    data["warnings"] = [*warnings]
-    texts["rig.json"] = json_text({**data, "files": [*texts, "rig.json"]})
+        texts = rig_texts(views, poses, metric.get("unit", ""))
+    data = {
+        "unit": "",
+        **metric,
+        "calibration": CALIBRATION if views else None,
+        "cameras": {name: _facts(placed[name], camera) for name, camera in views.items()},
+        "not_placed": {name: cameras[name].reason for name in cameras if name not in placed},
+        "warnings": [*warnings],
+        "files": [*texts, RIG],
+    }
+    texts[RIG] = json_text(data)
     for name, text in texts.items():
         write_text(folder / name, text)
     return [folder / name for name in texts]
+
+
+def _facts(location: Location, camera: Camera) -> dict[str, Any]:
+    """What rig.json has of a camera."""
+    return {
+        "centre": plain(location.centre),
+        "rotation_error_90_deg": location.rotation_error_90_deg,
+        "position_error_90": location.position_error_90,
+        "covariance": plain(location.covariance),
+        "probability": location.probability,
+        "focal_std": camera.focal_std,
+        "centre_std_px": camera.centre_std,
+        "lens_std": camera.lens_std,
+        "aspect_std": camera.aspect_std,
+    }
 
 
 @dataclass(frozen=True)
@@ -66,15 +85,21 @@ class CameraChange:
     moved: bool  # by more than three times the error, and 0.05 degrees or 0.1 % of the extent
     focal_change: float | None  # percent; None if the older focal length is unknown
     relative_to: str | None  # the other camera if there are only two: either may have moved
+    # The camera that was where this one is now, and the other way round; the change is from there.
+    place_of: str | None = None
 
     def text(self, unit: str) -> str:
         """The change in one line. unit: of length, or "" if unknown."""
-        verdict = "moved" if self.moved else "has not moved"
-        other = f" relative to {self.relative_to}" if self.relative_to else ""
         focal = "" if self.focal_change is None else f", focal length {self.focal_change:+.2f} %"
         turn = f"{self.angle_deg:.3f} +- {self.angle_error_deg:.3f} deg"
         shift = f"{self.distance:.3g} +- {self.distance_error:.2g} {unit}".rstrip()
-        return f"{self.name} {verdict}{other}: by {turn} and {shift}{focal}"
+        change = f"{turn} and {shift}{focal}"
+        if self.place_of is not None:
+            swapped = "the two, or their pictures, changed places"
+            return f"{self.name} is where {self.place_of} was, to {change}: {swapped}"
+        verdict = "moved" if self.moved else "has not moved"
+        other = f" relative to {self.relative_to}" if self.relative_to else ""
+        return f"{self.name} {verdict}{other}: by {change}"
 
 
 def compared(
@@ -104,14 +129,54 @@ def compared(
     if first:
         errors[1] = np.linalg.norm(errors, axis=0)
     limits = np.maximum(_FACTOR * errors, (_LEAST_ANGLE_DEG, _LEAST_SHIFT * extent))
-    changes = _changes(old, new, [0] if first else _unmoved(old, new, limits))
+    places = _places(old, new, limits)
+    changes = _aligned_changes(old[places], new, limits)
     found = []
-    for name, of, change, error, limit in zip(names, located, changes, errors, limits, strict=True):
-        known, (angle, distance) = start_cameras.get(name), change.tolist()
-        focal = 100 * (of.camera.focal / known.focal - 1) if of.camera and known else None
-        moved = bool((change > limit).any())
-        found.append(CameraChange(name, angle, error[0], distance, error[1], moved, focal, first))
+    for number, (name, location) in enumerate(zip(names, located, strict=True)):
+        before = names[places[number]]
+        known = start_cameras.get(before)
+        angle, distance = changes[number].tolist()
+        focal = None
+        if location.camera and known:
+            focal = 100 * (location.camera.focal / known.focal - 1)
+        place_of = before if before != name else None
+        change = CameraChange(
+            name=name,
+            angle_deg=angle,
+            angle_error_deg=errors[number, 0],
+            distance=distance,
+            distance_error=errors[number, 1],
+            moved=place_of is not None or bool((changes[number] > limits[number]).any()),
+            focal_change=focal,
+            relative_to=first,
+            place_of=place_of,
+        )
+        found.append(change)
     return found[1:] if first else found
+
+
+def _places(old: np.ndarray, new: np.ndarray, limits: np.ndarray) -> np.ndarray:
+    """The old camera (N,) in whose place each new one is: itself, but for two that changed places.
+    These are within the limits (N, 2) there, and more cameras are than without the change."""
+    itself = np.arange(len(old))
+    best = itself
+    most = int(np.sum(np.all(_aligned_changes(old, new, limits) <= limits, axis=1)))
+    for pair in combinations(range(len(old)), 2):
+        places = itself.copy()
+        places[[*pair]] = places[[*pair[::-1]]]
+        agree = np.all(_aligned_changes(old[places], new, limits) <= limits, axis=1)
+        count = int(np.sum(agree))
+        if np.all(agree[[*pair]]) and count > most:
+            best = places
+            most = count
+    return best
+
+
+def _aligned_changes(old: np.ndarray, new: np.ndarray, limits: np.ndarray) -> np.ndarray:
+    """The `_changes` after the alignment to the cameras that did not move; of two cameras, to the
+    first."""
+    still = [0] if len(old) == 2 else _unmoved(old, new, limits)
+    return _changes(old, new, still)
 
 
 def _unmoved(old: np.ndarray, new: np.ndarray, limits: np.ndarray) -> list[int]:

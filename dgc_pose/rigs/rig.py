@@ -7,8 +7,9 @@ and the cameras. Without a walk, the cameras' own pictures become the model.
 from __future__ import annotations
 
 import os
+import shutil
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
@@ -17,46 +18,49 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dgc_pose.batch.options import BatchOptions
+from dgc_pose.batch.result import Batch
 from dgc_pose.batch.run import Progress, run_batch
-from dgc_pose.batch.source import BATCH, PAGE, PairChoice, Source, open_source
+from dgc_pose.batch.source import BATCH, PAGE, PairChoice, Source
 from dgc_pose.cameras.by_image import Calibration
-from dgc_pose.cameras.calibration import image_camera, read_calibration
-from dgc_pose.cameras.camera import Camera, colmap_camera
 from dgc_pose.colmap.database import NoPairError
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.reconstruction import (
     MODEL,
     POINTS,
+    MappingError,
     NoModelError,
-    known_metres,
-    reconstruct,
-    require_new,
+    mapped,
     to_metres,
     write_models,
 )
-from dgc_pose.errors import ArgumentName, ImageError, InputError
+from dgc_pose.errors import ArgumentName, DgcPoseError, InputError, shortened
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.images.cache import ImageCache
-from dgc_pose.images.folder import frames_folder
-from dgc_pose.images.image import load_image
+from dgc_pose.images.image import load_image, mask_file, masked
 from dgc_pose.localization.locate import Locator
 from dgc_pose.localization.location import Location
 from dgc_pose.matchers import MatcherOptions
-from dgc_pose.model import Model
+from dgc_pose.model import Model, upright_model
 from dgc_pose.rigs.adjustment import WALK, adjusted, extended, in_metres, in_model_of_batch
 from dgc_pose.rigs.files import FILES
-from dgc_pose.rigs.frames import camera_frames, still_pictures
+from dgc_pose.rigs.inputs import (
+    FixedCameras,
+    Photographs,
+    RigInputs,
+    RigOptions,
+    fixed_cameras,
+    images_in_model,
+    metres_of,
+    require_new_rig,
+    walk_photographs,
+)
 from dgc_pose.system.colmap_library import pycolmap
-from dgc_pose.system.files import replaced_folder
+from dgc_pose.system.files import only_writer
 
 if TYPE_CHECKING:
     from dgc_pose.pose import CameraSource
 
-# Folders in that of a rig: for the cameras' pictures and masks, and for the frames of videos
-_OWN = "rig_pictures"
-PICTURES, _CAMERAS, _WALK_OF = f"{_OWN}/cameras", f"{_OWN}/frames", f"{_OWN}/walk_of_"
-_WALK_FRAMES = 20  # taken from a video
 _SIMILAR = 6  # each photograph of the walk is paired with this number of similar ones
 _LEAST_AGREEING = 2  # pictures of the model that must agree with a location
 
@@ -70,12 +74,14 @@ class Rig:
         model: The walk and the placed cameras with 3D points; None if no camera is placed.
         metric: The unit, the frame and the error of the scale; empty up to scale.
         warnings: Sentences for the user.
+        not_in_metres: The error for which the rig is up to scale in spite of an option for metres.
     """
 
     cameras: Mapping[str, Location]
     model: Model | None = None
     metric: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    not_in_metres: DgcPoseError | None = None
 
     @property
     def placed(self) -> dict[str, Location]:
@@ -99,170 +105,194 @@ def estimate_rig(
     """Estimate the poses cam_from_world of fixed cameras in one frame: x = R X + t.
 
     frames: folder with an entry for each camera, which names the camera: an image, a video, or a
-    folder of frames. Parts that move between frames are not matched. out: folder for the model and
-    the cameras' pictures. walk: photographs taken between the cameras: a folder, a video, or a
-    finished model, which is not changed; None if the cameras' views overlap. K: by camera name, as
-    for `estimate_relative_pose`; the focal length and lens of all others are estimated. walk_K: of
-    the walk, a text as for --K. reconstruction: includes the options for metres. progress: called
-    with the stage, the number done, and the total.
+    folder of frames. Frames in another position than most, and parts that move between frames, are
+    not matched. out: folder for the model and the cameras' pictures. walk: photographs taken
+    between the cameras: a folder, a video, or a finished model, which is not changed; None if the
+    cameras' views overlap. K: by camera name, as for `estimate_relative_pose`; the focal length and
+    lens of all others are estimated. walk_K: of the walk, a text as for --K. reconstruction:
+    includes the options for metres. progress: called with the stage, the number done, and the
+    total.
 
     A camera whose picture is unusable has the status "bad_input"; without a model, all others have
-    "nowhere". Raises InputError for an unusable K or scale, and for an existing result without
-    `resume` in `work`; ImageError; OSError.
+    "nowhere". Metres that the located cameras do not determine leave the rig up to scale, see
+    `Rig.not_in_metres`. Raises InputError, before the matching, for an unusable K or scale, for
+    cameras with one name or picture, for a marker or positions that the images lack, and for an
+    existing result without `resume` in `work`; ImageError; OSError.
     """
-    frames, out, work = Path(frames), Path(out), work or BatchOptions()
-    estimation, matcher = estimation or EstimationOptions(), matcher or MatcherOptions()
-    options = reconstruction or ReconstructionOptions()
-    walk = Path(walk) if isinstance(walk, str) else walk
-    given = {"frames": frames} | ({"walk": walk} if isinstance(walk, Path) else {})
-    require_new(out, (BATCH, MODEL, POINTS, PAGE, *FILES), resume=work.resume)
-    for argument, path in given.items():
-        inner, outer = (out / _OWN).resolve(), path.resolve()
-        if outer in inner.parents or inner in (outer, *outer.parents):
-            neither = f"{path} overlaps the results in {out}"
-            raise InputError(ArgumentName(argument), neither)
-    found, unreadable, skipped = camera_frames(frames, out / _CAMERAS, [*given.values()])
-    exact = _exact_cameras(K or {}, found)
-    walked = dict[str, Path]()
-    if isinstance(walk, Model):
-        skipped = (*skipped, *walk.warnings)
-        walked = {name: walk.root / name for name in walk.poses}
-    elif walk is not None:
-        source = open_source(frames_folder(walk, _WALK_FRAMES, out / f"{_WALK_OF}{walk.name}"))
-        skipped += source.skipped
-        walked = {name: source.root / name for name in source.names}
-        calibration = read_calibration(walk_K, "walk_K")
-    if options.scale or options.gps:  # raise before the matching
-        first = {name: next(iter(paths), frames / name) for name, paths in found.items()}
-        known_metres(first if options.scale else walked or first, options)
+    out = Path(out)
+    options = RigOptions(
+        matcher or MatcherOptions(),
+        estimation or EstimationOptions(),
+        reconstruction or ReconstructionOptions(),
+        work or BatchOptions(),
+    )
+    require_new_rig(Path(frames), out, walk, resume=options.work.resume)
+    between = walk_photographs(walk, walk_K, out)
+    cameras = fixed_cameras(Path(frames), out, walk, K or {}, options.reconstruction)
+    images = images_in_model(cameras, between)
+    known = metres_of(cameras, images, options.reconstruction)
+    inputs = RigInputs(out, between, cameras, images, known, options)
+    made = _made_models(inputs, progress)
+    return _placed_rig(inputs, made, progress)
 
-    for file in (*FILES, PAGE):  # of an earlier run
+
+@dataclass(frozen=True, eq=False)
+class _MadeModels:
+    """The models that the cameras are located in."""
+
+    models: Sequence[Model]  # the largest first
+    batch: Batch | None = None  # that they are made of; None for a finished model
+    are_own: bool = False  # whether their images are the cameras' pictures
+    why_none: str = ""
+    warnings: tuple[str, ...] = ()
+
+
+def _made_models(inputs: RigInputs, progress: Progress) -> _MadeModels:
+    """The finished model, or the models of the walk or of the cameras' own pictures."""
+    if not inputs.cameras.pictures:
+        return _MadeModels([])
+    walk = inputs.walk
+    if isinstance(walk, Model):
+        return _MadeModels([walk], warnings=walk.warnings)
+    estimation = inputs.options.estimation
+    pairs = PairChoice("exhaustive")
+    if walk is None:
+        photographs = _own_photographs(inputs.cameras)
+        mapping = replace(inputs.options.reconstruction, min_images=2, refine_centres=False)
+        no_model = "the cameras' own pictures make no model"
+        hint = "; photographs between them would"
+    else:
+        photographs = walk
+        mapping = replace(inputs.options.reconstruction, refine_centres=True)
+        no_model = "the walk makes no model"
+        hint = ""
+        if len(walk.source.names) > _SIMILAR + 1:
+            pairs = PairChoice("auto", _SIMILAR)
+        if estimation.effort == "auto":  # corners are aligned at full resolution later
+            estimation = replace(estimation, effort="fast")
+    batch = run_batch(
+        photographs.source,
+        photographs.calibration,
+        pairs,
+        inputs.out / BATCH,
+        matcher=inputs.options.matcher,
+        estimation=estimation,
+        options=inputs.options.work,
+        progress=progress,
+    )
+    bad = batch.summary["bad_images"]
+    warnings = (*photographs.source.skipped, *(f"{name}: {why}" for name, why in bad.items()))
+    try:
+        with only_writer(inputs.out):
+            found, _ = mapped(batch, inputs.out, mapping)
+    except (NoModelError, NoPairError):
+        why_none = f"{no_model} ({_pairs_text(batch)}){hint}"
+        return _MadeModels([], batch, walk is None, why_none, warnings)
+    models = [upright_model(model, batch.plan.root) for model in found]
+    return _MadeModels(models, batch, walk is None, warnings=warnings)
+
+
+def _pairs_text(batch: Batch) -> str:
+    """How many pairs have a pose, and the statuses of the others, the most frequent first."""
+    posed = sum(row.success for row in batch.rows)
+    others = Counter(row.status for row in batch.rows if not row.success)
+    counts = [f"{count} {status}" for status, count in others.most_common()]
+    return ", ".join([f"{posed} of {len(batch.rows)} pairs have a pose", *counts])
+
+
+def _remove_results(out: Path) -> None:
+    """Remove the results of an earlier run, which `require_new_rig` allowed to replace."""
+    for file in (*FILES, PAGE, POINTS):
         (out / file).unlink(missing_ok=True)
-    (out / _OWN).mkdir(parents=True, exist_ok=True)
-    with replaced_folder(out / PICTURES) as folder:
-        stills, bad, lines = still_pictures(found, unreadable, folder)
-    files = {name: path.name for name, path in stills.items()}
-    skipped += lines
-    unusable = {name: Location("bad_input", why, ()) for name, why in bad.items()}
-    pictures = {name: out / PICTURES / file for name, file in files.items()}
-    if options.scale:
-        *pair, metres = options.scale.split(",")
-        for name in sorted(bad.keys() & {*pair}):
-            unusable_picture = f"names {name}, whose picture cannot be used: {bad[name]}"
-            raise InputError(ArgumentName("scale"), unusable_picture)
-        options = replace(options, scale=",".join([*(files[name] for name in pair), metres]))
-    if not pictures:
-        return Rig(unusable, warnings=skipped)
-    if isinstance(walk, Model):
-        models = [walk]
-    else:
-        pairs, fast = PairChoice("exhaustive"), estimation
-        up_to_scale = replace(options, gps=False, scale=None, marker=None)
-        if walk is None:
-            names = tuple(sorted(files.values()))
-            source = Source(out / PICTURES, names, None, {}, masks=out / PICTURES)
-            by_file = {files[name]: camera for name, camera in exact.items() if name in files}
-            calibration = Calibration("K", by_file, auto="two")
-            up_to_scale = replace(up_to_scale, min_images=2, refine_centres=False)
-        else:
-            if len(source.names) > _SIMILAR + 1:
-                pairs = PairChoice("auto", _SIMILAR)
-            if estimation.effort == "auto":  # corners are aligned at full resolution later
-                fast = replace(estimation, effort="fast")
-            up_to_scale = replace(up_to_scale, refine_centres=True)
-        batch = run_batch(
-            *(source, calibration, pairs, out / BATCH),
-            matcher=matcher,
-            estimation=fast,
-            options=work,
-            progress=progress,
-        )
-        skipped += tuple(f"{name}: {why}" for name, why in batch.summary["bad_images"].items())
-        try:
-            models, *_ = reconstruct(batch, out, up_to_scale)
-        except (NoModelError, NoPairError) as error:
-            reason = "the cameras' own pictures make no model; photographs between them would"
-            if walk is not None:
-                reason = f"the walk makes no model: {error}"
-            none = {name: Location("nowhere", reason, ()) for name in pictures}
-            return Rig(none | unusable, warnings=skipped)
+    if (out / MODEL).exists():
+        shutil.rmtree(out / MODEL)
 
-    loaded = matcher.load(ImageCache())
-    locators = [Locator(of_model, loaded, estimation, out / PICTURES) for of_model in models]
-    model, cameras = _located(locators, pictures, exact, progress, own=walk is None)
-    skipped += tuple(why for locator in locators for why in locator.bad.values())
-    if (count := len(model.poses)) < len(walked):
-        skipped += (f"{count} of {len(walked)} photographs of the walk are in its model",)
-    if walk is None:
-        cameras = in_model_of_batch(cameras, files, model, batch)
-    placed = {name: of for name, of in cameras.items() if of.success}
-    if not placed:
-        return Rig(cameras | unusable, warnings=skipped)
 
-    if walk is None:
-        assert model.colmap is not None  # of `reconstruct`
-        whole = model.colmap
-        by_name = {image.name: image.image_id for image in whole.images.values()}
-        ids = {name: by_name[files[name]] for name in placed}
-    elif isinstance(walk, Model):
-        whole, ids = extended(model, placed, pictures)
-    else:
-        whole, ids, placed = adjusted(model, placed, pictures)
-    paths = {WALK + name: path for name, path in walked.items()}
-    paths |= {file: out / PICTURES / file for file in files.values()}
+def _own_photographs(cameras: FixedCameras) -> Photographs:
+    """The cameras' pictures as photographs of a model."""
+    files = {name: picture.name for name, picture in cameras.pictures.items()}
+    exact = {files[name]: camera for name, camera in cameras.exact.items() if name in files}
+    root = next(iter(cameras.pictures.values())).parent
+    source = Source(root, tuple(sorted(files.values())), None, {}, masks=cameras.masks)
+    return Photographs(source, Calibration("K", exact, auto="two"))
+
+
+def _placed_rig(inputs: RigInputs, made: _MadeModels, progress: Progress) -> Rig:
+    """The cameras placed in a model, adjusted with it, in metres, and written with it."""
+    _remove_results(inputs.out)
+    located = _located(inputs, made, progress)
+    unusable = inputs.cameras.unusable.items()
+    cameras = located.cameras | {name: Location("bad_input", why, ()) for name, why in unusable}
+    placed = {name: location for name, location in cameras.items() if location.success}
+    warnings = (*inputs.cameras.warnings, *made.warnings, *located.warnings)
+    if located.model is None or not placed:
+        return Rig(cameras, warnings=warnings)
+
+    whole, ids, placed = _adjusted(inputs, made, located.model, placed)
     before = _spread(whole)
-    metric = to_metres(whole, paths, options)
+    metric: dict[str, Any] = {}
+    not_in_metres: DgcPoseError | None = None
+    try:
+        _require_scaled_placed(inputs.options.reconstruction.scale, placed)
+        metric = to_metres(whole, inputs.images, inputs.options.reconstruction, inputs.known)
+    except (MappingError, InputError) as error:
+        not_in_metres = error
     scale = _spread(whole) / before
-    poses = {name: whole.images[ids[name]].cam_from_world().matrix() for name in placed}
-    placed = {name: in_metres(of, poses[name], scale) for name, of in placed.items()}
-    model = _written(whole, paths, out)
-    warnings = (*skipped, *metric.pop("warnings", ()), *_same_poses(placed))
-    return Rig({**cameras, **placed, **unusable}, model, metric, warnings)
+    for name, location in placed.items():
+        pose = whole.images[ids[name]].cam_from_world().matrix()
+        placed[name] = in_metres(location, pose, scale)
+    model = _in_one_folder(whole, inputs.images)
+    write_models(inputs.out, [model])
+    warnings += (*metric.pop("warnings", ()), *_same_poses(placed))
+    return Rig(cameras | placed, model, metric, warnings, not_in_metres)
 
 
-def _exact_cameras(
-    K: Mapping[str, CameraSource], found: Mapping[str, Sequence[Path]]
-) -> dict[str, Camera]:
-    """The cameras with a given K, by name. found: the frames of each camera."""
-    if unknown := sorted({*K} - {*found}):
-        names = ", ".join(found)
-        raise InputError(ArgumentName("K"), f"is of {unknown[0]}, and the cameras are {names}")
-    exact = {}
-    for name, value in K.items():
-        for path in found[name]:
-            with suppress(ImageError):
-                exact[name] = image_camera(value, load_image(path), f"K of {name}")
-                colmap_camera(exact[name], name)  # raises for a skew
-                break
-    return exact
+@dataclass(frozen=True, eq=False)
+class _Located:
+    """The cameras in the model that places most of them."""
+
+    cameras: dict[str, Location]  # by name
+    model: Model | None = None  # None: there is no model
+    warnings: tuple[str, ...] = ()
 
 
-def _located(
-    locators: Sequence[Locator],
-    pictures: Mapping[str, Path],
-    exact: Mapping[str, Camera],
-    progress: Progress,
-    *,
-    own: bool,
-) -> tuple[Model, dict[str, Location]]:
-    """The model in which most cameras are located, and the locations in it. For a camera located
-    only in another model, the reason states it. own: whether the models contain the pictures."""
+def _located(inputs: RigInputs, made: _MadeModels, progress: Progress) -> _Located:
+    """The cameras located in each model. For a camera located only in another model than the best,
+    the reason states it."""
+    pictures = inputs.cameras.pictures
+    if not made.models:
+        return _Located(dict.fromkeys(pictures, Location("nowhere", made.why_none, ())))
+    matcher = inputs.options.matcher.load(ImageCache())
+    masks = inputs.cameras.masks if made.are_own else None
+    locators = [Locator(model, matcher, inputs.options.estimation, masks) for model in made.models]
     each = list[dict[str, Location]]()
     for locator in locators:
         each.append({})
         for name, picture in pictures.items():
-            itself = [picture.name] if own else []
-            location = locator.locate(picture, exact.get(name), excluded=itself, whole=True)
+            image = masked(load_image(picture), mask_file(inputs.cameras.masks, picture.name))
+            itself = [picture.name] if made.are_own else []
+            K = inputs.cameras.exact.get(name)
+            location = locator.locate(image, K, excluded=itself, whole=True)
             each[-1][name] = _checked(location, name, locator)
             progress("cameras", sum(map(len, each)), len(locators) * len(pictures))
-    best = int(np.argmax([sum(of.success for of in located.values()) for located in each]))
+    counts = [sum(location.success for location in found.values()) for found in each]
+    best = int(np.argmax(counts))
     cameras = dict(each[best])
-    for located in each:
-        for name, of in located.items():
-            if of.success and not cameras[name].success:
+    for found in each:
+        for name, location in found.items():
+            if location.success and not cameras[name].success:
                 why = "located in another model of the walk: take pictures that connect the two"
                 cameras[name] = replace(cameras[name], reason=why)
-    return locators[best].model, cameras
+    model = made.models[best]
+    warnings = [why for locator in locators for why in locator.bad.values()]
+    walked = [name.removeprefix(WALK) for name in inputs.images if name.startswith(WALK)]
+    if missing := [name for name in walked if name not in model.poses]:
+        count = f"{len(missing)} of {len(walked)} photographs of the walk are not in its model"
+        warnings.append(f"{count}: {shortened(', '.join(missing))}")
+    if made.are_own and made.batch is not None:
+        files = {name: picture.name for name, picture in pictures.items()}
+        cameras = in_model_of_batch(cameras, files, model, made.batch)
+    return _Located(cameras, model, tuple(warnings))
 
 
 def _checked(location: Location, name: str, locator: Locator) -> Location:
@@ -280,22 +310,43 @@ def _checked(location: Location, name: str, locator: Locator) -> Location:
     return Location("nowhere", reason, matched, warnings=location.warnings)
 
 
+def _adjusted(
+    inputs: RigInputs, made: _MadeModels, model: Model, placed: dict[str, Location]
+) -> tuple[pycolmap.Reconstruction, dict[str, int], dict[str, Location]]:
+    """COLMAP's form of the model with the placed cameras, their image ids, and their locations
+    after the adjustment; a finished model stays as it is."""
+    pictures = inputs.cameras.pictures
+    if made.are_own:
+        assert model.colmap is not None  # of `upright_model`
+        by_file = {image.name: image.image_id for image in model.colmap.images.values()}
+        return model.colmap, {name: by_file[pictures[name].name] for name in placed}, placed
+    if made.batch is None:
+        return *extended(model, placed, pictures), placed
+    return adjusted(model, placed, pictures)
+
+
+def _require_scaled_placed(scale: str | None, placed: Mapping[str, Location]) -> None:
+    """Raise InputError if the option `scale` names a camera without a place."""
+    for name in scale.split(",")[:2] if scale else ():
+        if name not in placed:
+            raise InputError(ArgumentName("scale"), f"names {name}, which has no place")
+
+
 def _spread(whole: pycolmap.Reconstruction) -> float:
     """The root of the summed squared distances of the images' centres from their mean."""
     centres = np.array([i.projection_center() for i in whole.images.values() if i.has_pose])
     return float(np.linalg.norm(centres - centres.mean(0)))
 
 
-def _written(whole: pycolmap.Reconstruction, paths: Mapping[str, Path], out: Path) -> Model:
-    """Write COLMAP's model and the points, and read the model. Image names become relative to a
-    folder that contains all images."""
-    every = {name: os.path.abspath(path) for name, path in paths.items()}
-    root = os.path.commonpath([os.path.dirname(path) for path in every.values()])
+def _in_one_folder(whole: pycolmap.Reconstruction, images: Mapping[str, Path]) -> Model:
+    """The model of images by their names relative to a folder that contains all of them. images:
+    by their names before, the files."""
+    paths = {name: os.path.abspath(path) for name, path in images.items()}
+    root = os.path.commonpath([os.path.dirname(path) for path in paths.values()])
     for image in whole.images.values():
-        if image.name in every:
-            image.name = Path(os.path.relpath(every[image.name], root)).as_posix()
-    (model,) = write_models(out, [whole], Path(root))
-    return model
+        if image.name in paths:
+            image.name = Path(os.path.relpath(paths[image.name], root)).as_posix()
+    return upright_model(whole, Path(root))
 
 
 def _same_poses(cameras: Mapping[str, Location]) -> tuple[str, ...]:

@@ -11,7 +11,9 @@ from command_line import assert_all_bad, assert_refused, contents, run
 from scipy.spatial.transform import Rotation
 from worlds import SIZE, K, render_views, write_views
 
+from dgc_pose.cameras.calibration import read_calibration
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.localization.location import Location
 from dgc_pose.model import Model
 from dgc_pose.rigs.files import write_rig
@@ -39,11 +41,16 @@ def cameras(turned: str = "") -> dict[str, Location]:
     return found
 
 
+def model_of(located: dict[str, Location]) -> Model:
+    """Of the pictures in frames/."""
+    poses = {f"{name}.png": location.cam_from_world for name, location in located.items()}
+    return Model(Path("frames"), dict.fromkeys(poses, Camera(K, SIZE)), poses)
+
+
 def estimated(monkeypatch: pytest.MonkeyPatch, rig: Rig | None = None) -> list[dict[str, Any]]:
     """Every estimate is this rig, by default of the cameras. Returns what it is asked for."""
     located, asked = cameras(), []
-    poses = {f"{name}.png": of.cam_from_world for name, of in located.items()}
-    model = Model(Path("frames"), dict.fromkeys(poses, Camera(K, SIZE)), poses)
+    model = model_of(located)
     metric, warnings = {"unit": "m", "scale_relative_std": 0.002}, ("two have one pose",)
 
     def estimate(frames: Path, out: Path, walk: object, **options: Any) -> Rig:
@@ -97,6 +104,63 @@ def test_nothing_placed_is_exit_code_3(folder: Path, monkeypatch: pytest.MonkeyP
     assert [path.name for path in (folder / "out").iterdir()] == ["rig.json"]
     data = json.loads((folder / "out" / "rig.json").read_text())
     assert data["not_placed"] == {"view0": NOWHERE.reason} and not data["cameras"]
+
+
+def test_a_rig_that_is_not_in_metres_is_there(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Up to scale, with the error and the way to go on."""
+    located = cameras()
+    why = InputError(ArgumentName("scale"), "names west, which has no place")
+    estimated(monkeypatch, Rig(located | {"west": NOWHERE}, model_of(located), not_in_metres=why))
+    result = run("rig", "frames", "--out", "out", "--scale", "view0,west,2")
+    assert result.exit_code == 2
+    assert result.stderr == (
+        "error: out/rig.json is up to scale, and --resume with another scale keeps the matches: "
+        "--scale names west, which has no place\n"
+    )
+    data = json.loads((folder / "out" / "rig.json").read_text())
+    assert {*data["cameras"]} == {*located} and data["unit"] == ""
+    assert data["warnings"] == ["not in metres: scale names west, which has no place"]
+    assert (folder / "out" / "model.html").is_file()
+
+
+def test_cameras_are_named_as_their_files(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With blanks, dots, umlauts and =, by --K and in each file."""
+    renamed = {"Kamera.2 süd": "view0", 'f=8 "links"': "view1", "door.v2": "view2"}
+    found = cameras()
+    located = {name: found[view] for name, view in renamed.items()}
+    for name, view in renamed.items():
+        (folder / "frames" / f"{view}.png").rename(folder / "frames" / f"{name}.png")
+    asked = estimated(monkeypatch, Rig(located, model_of(located)))
+    words = ("rig", "frames", "--out", "out")
+    texts = [f"{name}=500,500,320,240" for name in renamed]
+    result = run(*words, *(word for text in texts for word in ("--K", text)))
+    assert result.exit_code == 0, result.output
+    assert asked[0]["K"] == dict.fromkeys(renamed, "500,500,320,240")
+    for file in ("calibration.toml", "camera_array.toml", "rig_config.json", "rig.json"):
+        read = read_calibration(str(folder / "out" / file))
+        assert [*read.parts] == [*renamed]
+        for name, location in located.items():
+            R = read.poses[name][:, :3] @ read.poses["door.v2"][:, :3].T
+            np.testing.assert_allclose(R, location.R @ located["door.v2"].R.T, atol=1e-9)
+
+
+def test_start_tells_that_two_cameras_changed_places(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    estimated(monkeypatch)
+    found = cameras()
+    before = found | {"view0": found["view2"], "view2": found["view0"]}
+    (folder / "before").mkdir()
+    write_rig(folder / "before", before, {"unit": "m"})
+    result = run("rig", "frames", "--out", "out", "--start", "before/rig.json")
+    assert result.exit_code == 0, result.output
+    first, second, third = result.stdout.splitlines()[-3:]
+    assert first.startswith("view0 is where view2 was, to 0.000 +- 0.143 deg")
+    assert second.startswith("view1 has not moved")
+    assert third.startswith("view2 is where view0 was, to 0.000 +- 0.143 deg")
+    assert third.endswith("the two, or their pictures, changed places")
 
 
 def test_start_tells_which_camera_moved(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

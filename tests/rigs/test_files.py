@@ -27,7 +27,7 @@ LENSES = [
     Distortion("RADIAL_FISHEYE", (0.02, -0.01)),
     Distortion("FISHEYE", ()),
 ]
-TOMLS = ("calibration.toml", "camera_array.toml", "rig.json")
+TOMLS = ("calibration.toml", "camera_array.toml")
 
 
 def rig(*lenses: Distortion | None, names: str = "abcdef", seed: int = 0) -> dict[str, Location]:
@@ -71,9 +71,8 @@ def assert_read(path: Path, cameras: dict[str, Location]) -> None:
 def test_the_tables_are_opencvs_and_read_again(tmp_path: Path, name: str) -> None:
     cameras = rig(*LENSES)
     paths = write_rig(tmp_path, cameras, {"unit": "m"})
-    assert [path.name for path in paths] == [*TOMLS[:2], "rig_config.json", "rig.json"]
-    text = (tmp_path / name).read_text()
-    data = json.loads(text) if name == "rig.json" else toml_data(text, tmp_path)
+    assert [path.name for path in paths] == [*TOMLS, "rig_config.json", "rig.json"]
+    data = toml_data((tmp_path / name).read_text(), tmp_path)
     for (key, location), table in zip(
         cameras.items(), data.get("cameras", data).values(), strict=False
     ):
@@ -140,24 +139,35 @@ def test_a_lens_that_opencv_lacks(tmp_path: Path) -> None:
     """The files of tables have it by COLMAP's model, and no key that others take for a lens."""
     cameras = rig(None, Distortion("FOV", (0.9,)))
     names = [path.name for path in write_rig(tmp_path, cameras, {"unit": "m"})]
-    assert names == [*TOMLS[:2], "rig_config.json", "rig.json"]
-    for name in TOMLS:
+    assert names == [*TOMLS, "rig_config.json", "rig.json"]
+    for name in (*TOMLS, "rig.json"):
         assert_read(tmp_path / name, cameras)
     table = toml_data((tmp_path / TOMLS[0]).read_text(), tmp_path)["cam b"]
     assert (table["model"], table["coefficients"]) == ("FOV", [0.9]) and "distortions" not in table
 
 
-def test_rig_json_has_everything(tmp_path: Path) -> None:
+def test_rig_json_has_what_the_toml_lacks_and_names_it(tmp_path: Path) -> None:
+    """So that it is read as the TOML is."""
     cameras = rig(None, None, names="12")
     write_rig(tmp_path, cameras, {"unit": "m"})
+    assert_read(tmp_path / "rig.json", cameras)
     data = json.loads((tmp_path / "rig.json").read_text())
-    location, table = cameras["cam 2"], data["cameras"]["cam 2"]
+    location, facts = cameras["cam 2"], data["cameras"]["cam 2"]
     for key in ("centre", "covariance", "probability", "position_error_90"):
-        np.testing.assert_array_equal(table[key], getattr(location, key))
-    assert (data["unit"], table["focal_std"]) == ("m", 0.01)
-    assert data["files"] == [*TOMLS[:2], "rig_config.json", "stereo.yml", "rig.json"]
+        np.testing.assert_array_equal(facts[key], getattr(location, key))
+    assert (data["unit"], facts["focal_std"]) == ("m", 0.01)
+    table = toml_data((tmp_path / data["calibration"]).read_text(), tmp_path)["cam 2"]
+    assert not facts.keys() & table.keys() - {"focal_std"}
+    assert data["files"] == [*TOMLS, "rig_config.json", "stereo.yml", "rig.json"]
     listed = toml_data((tmp_path / "camera_array.toml").read_text(), tmp_path)["cameras"]
     assert {key: table["cam_id"] for key, table in listed.items()} == {"1": 1, "2": 2}
+
+
+def test_rig_json_without_its_toml_names_it(tmp_path: Path) -> None:
+    write_rig(tmp_path, rig(None, None), {"unit": "m"})
+    (tmp_path / "calibration.toml").unlink()
+    with pytest.raises(InputError, match=r"calibration\.toml: No such file or directory$"):
+        read_calibration(str(tmp_path / "rig.json"))
 
 
 STD = 2e-4  # of each axis of the rotations, radians, and of the centres
@@ -233,6 +243,31 @@ def test_of_two_cameras_the_second_is_relative_to_the_first() -> None:
     turn = Rotation.from_rotvec(np.radians([0, 1, 0])).as_matrix()
     (moved,) = compared(stated(before), located({**before, "cam0": (turn @ R, centre)}), {})
     assert moved.moved and abs(moved.angle_deg - 1) < 0.1
+
+
+@pytest.mark.parametrize("count", [2, 3, 5])
+@pytest.mark.parametrize("seed", range(3))
+def test_two_cameras_that_changed_places(count: int, seed: int) -> None:
+    """Their focal lengths are compared with those of the other place. A third camera that moved
+    counts as moved."""
+    before = poses(count, seed)
+    after = before | {"cam0": before["cam1"], "cam1": before["cam0"]}
+    if count == 5:
+        R, centre = before["cam3"]
+        after["cam3"] = R, centre + (0.3, 0, 0)
+    changes = compared(stated(before), located(after), {"cam0": CAMERA.with_focal(490)})
+    swapped = {"cam0": "cam1", "cam1": "cam0"}
+    names = [*before][count == 2 :]
+    assert [change.name for change in changes] == names
+    assert [change.place_of for change in changes] == [swapped.get(name) for name in names]
+    moved = {*swapped, "cam3"} if count == 5 else {*swapped}
+    assert [change.moved for change in changes] == [name in moved for name in names]
+    second = changes[names.index("cam1")]
+    assert second.angle_deg < 0.1 and second.distance < 0.01
+    assert second.focal_change == pytest.approx(100 * (500 / 490 - 1))
+    text = second.text("m")
+    assert text.startswith("cam1 is where cam0 was, to 0.0")
+    assert text.endswith("focal length +2.04 %: the two, or their pictures, changed places")
 
 
 def test_two_cameras_are_needed() -> None:

@@ -1,5 +1,7 @@
 """The frames of fixed cameras by their names, and the still picture of each."""
 
+import os
+import unicodedata
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +29,7 @@ def save(path: Path, pixels: np.ndarray = SCENE, orientation: int = 1) -> Path:
 
 def still(folder: Path, name: str, *paths: Path) -> Path:
     """The still picture of a camera with these frames."""
-    return still_picture({path: load_image(path) for path in paths}, name, folder)
+    return still_picture({path: load_image(path) for path in paths}, name, folder, folder)[0]
 
 
 def test_an_entry_of_the_folder_is_a_camera(tmp_path: Path) -> None:
@@ -38,25 +40,33 @@ def test_an_entry_of_the_folder_is_a_camera(tmp_path: Path) -> None:
     many = [save(rig / "west" / f"{number:02d}.png") for number in range(40)]
     (rig / "notes.txt").write_text("of the cameras")
     (rig / "empty").mkdir()
-    found, _, skipped = camera_frames(rig, tmp_path / "videos")
-    assert skipped[0].startswith("2 files skipped (first: empty): neither a picture")
+    found = camera_frames(rig, tmp_path / "videos")
+    assert found.skipped[0].startswith("2 files skipped (first: empty): neither a picture")
     expected = {"north": [rig / "north.jpg"], "south": [rig / "south.data"], "west": many[::3]}
-    assert found == expected and not (tmp_path / "videos").exists()
+    assert found.frames == expected and not (tmp_path / "videos").exists()
 
 
 def test_what_is_no_rig_is_refused(tmp_path: Path) -> None:
-    """One camera, one camera twice, and two of a name, each with the path."""
+    """One camera, one camera twice, and two of a name, each with the path. Two black pictures are
+    equal, and not of one camera."""
     rig, videos = tmp_path / "rig", tmp_path / "videos"
     save(rig / "a.png")
     with pytest.raises(InputError, match="rig: 1 cameras found, and a rig has two$"):
         camera_frames(rig, videos)
     save(rig / "b.png")
     with pytest.raises(InputError, match=r"b\.png is the picture of another camera$"):
-        camera_frames(rig, videos)
+        still_pictures(camera_frames(rig, videos), tmp_path, tmp_path)
+    for name in "ab":
+        save(rig / f"{name}.png", 0 * SCENE)
+    assert {*still_pictures(camera_frames(rig, videos), tmp_path, tmp_path).bad} == {"a", "b"}
     (rig / "b.png").unlink()
     save(rig / "a" / "0.png")
     with pytest.raises(InputError, match="rig: two cameras have the name a$"):
         camera_frames(rig, videos)
+    for name in ("cameras", "metadata"):
+        save(tmp_path / name / f"{name}.png")
+        with pytest.raises(InputError, match=f"{name}\\.png: the files of a rig have no camera of"):
+            camera_frames(tmp_path / name, videos)
 
 
 def test_a_single_picture_is_copied_and_a_turned_one_is_upright(tmp_path: Path) -> None:
@@ -85,6 +95,42 @@ def test_the_picture_is_without_what_moves_and_the_mask_black_there(tmp_path: Pa
     assert (mask == 255).mean() > 0.99
     off = load_image(picture).pixels - (SCENE // 2 + 17.5)
     assert np.abs(off).mean() < 4 and np.abs(off).max() < 25
+
+
+def shifted(pixels: int) -> np.ndarray:
+    """The scene, by a camera that turned: what leaves the picture on a side enters on the other."""
+    return np.roll(SCENE, pixels, axis=1)
+
+
+def test_frames_of_a_camera_that_was_moved_are_left_out(tmp_path: Path) -> None:
+    """By a sentence with what is observed; without a majority there is no picture."""
+    frames = tmp_path / "rig" / "door"
+    for number, shift in enumerate((0, 0, 6, 0, 6)):
+        save(frames / f"{number}.png", shifted(shift))
+    save(tmp_path / "rig" / "desk.png", SCENE[::-1])
+    stills = still_pictures(camera_frames(tmp_path / "rig", tmp_path), tmp_path, tmp_path)
+    (line,) = stills.lines
+    assert line.endswith(": the 3 of 5 frames in one position are used") and str(frames) in line
+    np.testing.assert_array_equal(load_image(stills.pictures["door"]).pixels, SCENE)
+    for number in range(5):
+        save(frames / f"{number}.png", shifted(3 * number))
+    stills = still_pictures(camera_frames(tmp_path / "rig", tmp_path), tmp_path, tmp_path)
+    assert {*stills.pictures} == {"desk"}
+    assert stills.bad["door"].endswith(", and no position has most of the 5 frames")
+
+
+def test_names_with_blanks_dots_and_composed_letters(tmp_path: Path) -> None:
+    """A folder has no ending. A name may be stored with its letters decomposed, as macOS does, and
+    one that is no UTF-8 fits into no file of a rig."""
+    rig = tmp_path / "rig"
+    save(rig / unicodedata.normalize("NFD", "Kamera.2 süd.jpg"))
+    save(rig / "door.v2" / "0.png", SCENE[::-1])
+    save(rig / os.fsdecode(b"caf\xe9") / "0.png", SCENE[:, ::-1])
+    found = camera_frames(rig, tmp_path / "videos")
+    assert {*found.frames} == {"Kamera.2 süd", "door.v2"}
+    assert found.skipped == (r"'caf\udce9' skipped: a name that is not UTF-8",)
+    stills = still_pictures(found, tmp_path, tmp_path)
+    assert {path.name for path in stills.pictures.values()} == {"Kamera.2 süd.jpg", "door.v2.png"}
 
 
 def test_frames_that_give_no_picture_are_refused(tmp_path: Path) -> None:
@@ -118,12 +164,12 @@ def test_files_that_cannot_be_read_displace_no_other(tmp_path: Path) -> None:
     for path in empty:
         path.write_bytes(b"")
     (rig / "south.mp4").write_text("not a video")
-    cameras, unreadable, _ = camera_frames(rig, tmp_path / "videos")
-    assert cameras == {"many": fine, "south": [south]}
-    pictures, bad, lines = still_pictures(cameras, unreadable, tmp_path)
-    assert {*pictures} == {*cameras} and not bad
+    found = camera_frames(rig, tmp_path / "videos")
+    assert found.frames == {"many": fine, "south": [south]}
+    stills = still_pictures(found, tmp_path, tmp_path)
+    assert {*stills.pictures} == {*found.frames} and not stills.bad
     no_video = f"{rig / 'south.mp4'} is not a video that can be read"
-    assert {*lines} == {no_video, *(f"{path}: empty" for path in empty)}
+    assert {*stills.lines} == {no_video, *(f"{path}: empty" for path in empty)}
 
 
 def test_bad_pictures_are_told_and_the_others_are_there(tmp_path: Path) -> None:
@@ -140,16 +186,17 @@ def test_bad_pictures_are_told_and_the_others_are_there(tmp_path: Path) -> None:
     write_bad_pictures(rig / "none")
     for name in ("tiny.png", "grey.png", "clear.png"):
         (rig / "none" / name).unlink()
-    cameras, unreadable, skipped = camera_frames(rig, tmp_path / "videos")
-    assert not skipped
-    pictures, reasons, lines = still_pictures(cameras, unreadable, tmp_path)
-    assert {*pictures} == {"fine", "many"}
+    found = camera_frames(rig, tmp_path / "videos")
+    assert not found.skipped
+    stills = still_pictures(found, tmp_path, tmp_path)
+    reasons = stills.bad
+    assert {*stills.pictures} == {"fine", "many"}
     assert {*reasons} == {path.stem for path in bad} | {"video", "none"}
     for path in bad:
         assert BAD_PICTURES[path.name] in reasons[path.stem]
     assert reasons["video"] == f"{rig / 'video.mp4'} is not a video that can be read"
     left_out = [path for path in frames if path.exists()]
-    told = [line for line in lines if str(rig / "many") in line]
+    told = [line for line in stills.lines if str(rig / "many") in line]
     assert len(told) == len(left_out)
     assert all(any(str(path) in line for line in told) for path in left_out)
-    np.testing.assert_array_equal(load_image(pictures["many"]).pixels, SCENE[::-1])
+    np.testing.assert_array_equal(load_image(stills.pictures["many"]).pixels, SCENE[::-1])

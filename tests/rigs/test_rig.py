@@ -25,6 +25,7 @@ from dgc_pose.batch.options import BatchOptions
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
+from dgc_pose.localization.locate import Locator
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.model import Model, load_model
@@ -107,6 +108,95 @@ def test_the_model_is_written_but_not_over_another(placed: tuple[Path, Rig]) -> 
         estimate_rig(folder / "frames", out, folder / "walk", **QUICK)
 
 
+def test_metres_without_a_camera_leave_the_rig_up_to_scale(tmp_path: Path) -> None:
+    """It is known only after the matching."""
+    frames = write_cameras(tmp_path / "frames", "north", "south", "zoo")
+    walk, known = walk_model(tmp_path / "walk"), {"north": K, "south": K, "zoo": K}
+    metres = ReconstructionOptions(scale="north,zoo,3.0")
+    rig = estimate_rig(frames, tmp_path / "out", walk, K=known, reconstruction=metres, **QUICK)
+    assert str(rig.not_in_metres) == "scale names zoo, which has no place" and not rig.metric
+    assert_true(rig, "north south", pycolmap.Sim3d())
+    assert (tmp_path / "out" / "sparse" / "cameras.bin").is_file()
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        ({"marker": 0.2}, "^marker finds no marker in two of the 5 images$"),
+        ({"gps": True}, "^gps needs 3 positions, and 0 of 5 photographs have a GPS position$"),
+        ({"scale": "north,east,3"}, "^scale must be two of the 2 images .*'north,east,3'$"),
+    ],
+)
+def test_no_metres_are_told_before_the_matching(
+    tmp_path: Path, options: dict[str, object], why: str
+) -> None:
+    """The results of an earlier run stay."""
+    frames, out = write_cameras(tmp_path / "frames", "north", "south"), tmp_path / "out"
+    write_views(tmp_path / "walk", render_views(3))
+    out.mkdir()
+    (out / "rig.json").write_text("{}")
+    again = QUICK | {"work": BatchOptions(workers=1, resume=True)}
+    metres = ReconstructionOptions(**options)
+    with pytest.raises(InputError, match=why):
+        estimate_rig(frames, out, tmp_path / "walk", reconstruction=metres, **again)
+    assert {path.name for path in out.iterdir()} <= {"rig.json", "rig_pictures"}
+    assert (out / "rig.json").read_text() == "{}"
+
+
+def test_a_batch_that_is_refused_leaves_the_results(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of the earlier run; one that ends without a model removes them."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise InputError("other settings")
+
+    frames, out = write_cameras(tmp_path / "frames", "north", "zoo"), tmp_path / "out"
+    (out / "sparse").mkdir(parents=True)
+    earlier = [
+        out / name for name in ("rig.json", "points.ply", "model.html", "sparse/cameras.bin")
+    ]
+    for path in earlier:
+        path.write_text("")
+    again = QUICK | {"work": BatchOptions(workers=1, resume=True)}
+    with monkeypatch.context() as patched, pytest.raises(InputError, match="other settings"):
+        patched.setattr("dgc_pose.rigs.rig.run_batch", refuse)
+        estimate_rig(frames, out, **again)
+    assert all(path.exists() for path in earlier)
+    rig = estimate_rig(frames, out, **again)
+    assert rig.model is None and not any(path.exists() for path in earlier)
+    reason = "the cameras' own pictures make no model (0 of 1 pairs have a pose, 1 "
+    assert rig.cameras["zoo"].reason.startswith(reason)
+
+
+def test_the_mask_of_a_camera_is_not_that_of_a_photograph(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of the same name, in the walk."""
+    frames = write_cameras(tmp_path / "frames", "north", "south")
+    picture = cv2.imread(str(frames / "north.png"))
+    (frames / "north.png").unlink()
+    (frames / "north").mkdir()
+    for number in range(4):  # something white comes and goes at the lower edge
+        frame = picture.copy()
+        frame[-40:] = 255 * (number % 2) + frame[-40:] * (1 - number % 2)
+        cv2.imwrite(str(frames / "north" / f"{number}.png"), frame)
+    made = list[Locator]()
+
+    def locator(*arguments: object) -> Locator:
+        made.append(Locator(*arguments))
+        return made[-1]
+
+    monkeypatch.setattr("dgc_pose.rigs.rig.Locator", locator)
+    walk = walk_model(tmp_path / "walk", "north.png")
+    rig = estimate_rig(frames, tmp_path / "out", walk, K={"north": K, "south": K}, **QUICK)
+    assert_true(rig, "north south", pycolmap.Sim3d())
+    assert (tmp_path / "out" / "rig_pictures" / "masks" / "north.png.png").is_file()
+    assert made[0].image("north.png").mask is None
+    seen = np.concatenate([image.matches.points2 for image in rig.cameras["north"].database_images])
+    assert len(seen) and seen[:, 1].max() < 150
+
+
 def test_cameras_that_share_nothing_have_no_place(tmp_path: Path) -> None:
     frames = write_cameras(tmp_path / "frames", "north", "zoo")
     rig = estimate_rig(frames, tmp_path / "out", K={"north": K, "zoo": K}, **QUICK)
@@ -140,7 +230,7 @@ def test_without_a_model_each_camera_has_a_reason(tmp_path: Path, *, walked: boo
         location = rig.cameras[path.stem]
         assert location.status == "bad_input" and BAD_PICTURES[path.name] in location.reason
     assert rig.cameras["north"].status == "nowhere"
-    why = "the walk makes no model: " if walked else "the cameras' own pictures make no model"
+    why = "the walk makes no model" if walked else "the cameras' own pictures make no model"
     assert why in rig.cameras["north"].reason
     told = [name for name in BAD_PICTURES if any(name in line for line in rig.warnings)]
     assert told == [path.name for path in bad] * walked

@@ -116,25 +116,34 @@ def read_model(path: Path, whole: bool = False) -> tuple[Calibration, pycolmap.R
         model = pycolmap.Reconstruction(scratch)
         for image in model.images.values() if is_text else ():
             image.name = unquote(image.name)
-        cameras: dict[int, Camera] = {}
-        for key, theirs in sorted(model.cameras.items()):
-            K, lens = colmap_camera.intrinsics(theirs.model.name, theirs.params.tolist())
-            size = theirs.width, theirs.height
-            cameras[key] = Camera(K, size, lens, identity=f"{path} {key}")
-        if not cameras:
+        if not model.cameras:
             raise InputError(path, "has no cameras")
-        images = [image for _, image in sorted(model.images.items()) if image.has_pose]
-        for image in images:
-            pose = image.cam_from_world()
-            is_unit = abs(np.linalg.norm(pose.rotation.quat) - 1) < _ROUNDING
-            if not (is_unit and np.isfinite(pose.translation).all()):
+        for _, image in sorted(model.images.items()):
+            if image.has_pose and not _is_rigid(image.cam_from_world()):
                 raise InputError(path.parent, f"has a pose of {image.name} that is not rigid")
-        return Calibration(
-            by_name={image.name: cameras[image.camera_id] for image in images},
-            parts={str(key): camera for key, camera in cameras.items()},
-            common=None if images or len(cameras) > 1 else next(iter(cameras.values())),
-            poses={image.name: np.array(image.cam_from_world().matrix()) for image in images},
-        ), model
+        return model_calibration(model, path), model
+
+
+def _is_rigid(pose: pycolmap.Rigid3d) -> bool:
+    is_unit = abs(np.linalg.norm(pose.rotation.quat) - 1) < _ROUNDING
+    return bool(is_unit and np.isfinite(pose.translation).all())
+
+
+def model_calibration(model: pycolmap.Reconstruction, path: Path) -> Calibration:
+    """The calibration of `read_model` from COLMAP's model. path: for the identity of the cameras.
+    Raises InputError if a camera has no focal length."""
+    cameras: dict[int, Camera] = {}
+    for key, theirs in sorted(model.cameras.items()):
+        K, lens = colmap_camera.intrinsics(theirs.model.name, theirs.params.tolist())
+        size = theirs.width, theirs.height
+        cameras[key] = Camera(K, size, lens, identity=f"{path} {key}")
+    images = [image for _, image in sorted(model.images.items()) if image.has_pose]
+    return Calibration(
+        by_name={image.name: cameras[image.camera_id] for image in images},
+        parts={str(key): camera for key, camera in cameras.items()},
+        common=None if images or len(cameras) > 1 else next(iter(cameras.values())),
+        poses={image.name: np.array(image.cam_from_world().matrix()) for image in images},
+    )
 
 
 def _checked_lines(text: str, path: Path) -> str:

@@ -92,6 +92,8 @@ def _of_mapping(data: Any, path: Path) -> Calibration:
         return Calibration(common=numbers_camera(data))
     if not {"frames", "fl_x", "camera_angle_x"}.isdisjoint(data):
         return _nerf_cameras(data, str(path))
+    if data.get("calibration") == rigs.CALIBRATION:  # rig.json
+        return _read_file(path.with_name(rigs.CALIBRATION))
     return rigs.named_rig(data, path) or keyed.keyed_cameras(data)
 
 

@@ -1,8 +1,8 @@
 """Files that name the cameras of a rig, with or without their poses.
 
 Read and written: OpenCV's file of a stereo pair, the TOML of anipose, caliscope and Pose2Sim, and
-COLMAP's rig_config.json. Only read: EasyMocap's intri.yml, Kalibr's camchain, EuRoC's sensor.yaml,
-and rig.json, which has the tables of the TOML.
+COLMAP's rig_config.json. Only read: EasyMocap's intri.yml, Kalibr's camchain, EuRoC's sensor.yaml.
+`dgc-pose rig` also writes rig.json, which names the TOML.
 """
 
 import json
@@ -28,6 +28,7 @@ from dgc_pose.geometry.rotation import is_rotation, quaternion_wxyz, rotation_of
 _STEREO = re.compile(r"(M|cameraMatrix|K|D|distCoeffs|P)([12])")
 _EASYMOCAP = re.compile(r"(K|dist|D|H|W)_(.+)")
 _MATRICES = ("M", "cameraMatrix", "K")
+CALIBRATION = "calibration.toml"
 # Number of OpenCV's coefficients for a lens of COLMAP: k1 k2 p1 p2 k3, or k1 to k4.
 _OPENCV = dict.fromkeys(("SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV"), 5)
 _OPENCV |= {f"{kind}FISHEYE": 4 for kind in ("", "SIMPLE_", "RADIAL_", "SIMPLE_RADIAL_", "OPENCV_")}
@@ -166,10 +167,8 @@ def _grouped(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     return tables
 
 
-def rig_texts(
-    cameras: Mapping[str, Camera], poses: np.ndarray, unit: str
-) -> tuple[dict[str, str], dict[str, dict[str, Any]]]:
-    """The text of each rig file by file name, and the tables of calibration.toml by camera name.
+def rig_texts(cameras: Mapping[str, Camera], poses: np.ndarray, unit: str) -> dict[str, str]:
+    """The text of each rig file by file name.
 
     cameras: by name, with a size. poses: their cam_from_world (N, 3, 4). unit: of the positions; ""
     up to scale.
@@ -190,13 +189,13 @@ def rig_texts(
     ids = ends if len({*ends}) == len(cameras) else range(len(cameras))
     listed = zip(ids, tables.values(), strict=True)
     texts = {
-        "calibration.toml": _toml_text({**quoted, "metadata": {"unit": unit}}),
+        CALIBRATION: _toml_text({**quoted, "metadata": {"unit": unit}}),
         "camera_array.toml": _toml_text({f"cameras.{n}": {"cam_id": n, **t} for n, t in listed}),
         "rig_config.json": _colmap_text(cameras, in_rig),
     }
     if [table.get("fisheye") for table in tables.values()] in ([False] * 2, [True] * 2):
         texts["stereo.yml"] = _stereo_text([*tables.values()], in_rig[1])
-    return texts, tables
+    return texts
 
 
 def _table(name: str, camera: Camera, pose: np.ndarray) -> dict[str, Any]:
@@ -253,6 +252,8 @@ def _toml_text(tables: Mapping[str, Mapping[str, Any]]) -> str:
     """A TOML of tables whose values are written as in JSON."""
     lines = []
     for name, table in tables.items():
-        values = [f"{key} = {json.dumps(of, ensure_ascii=False)}" for key, of in table.items()]
+        values = [
+            f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in table.items()
+        ]
         lines += [f"[{name}]", *values, ""]
     return "\n".join(lines)
