@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,7 +28,7 @@ from dgc_pose.estimation import (
 from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import Image, load_image, mask_file, masked, require_matchable
 from dgc_pose.localization.location import Location
-from dgc_pose.localization.search import LocationSearch
+from dgc_pose.localization.search import MAX_IMAGES, LocationSearch
 from dgc_pose.matchers import load_matcher
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher
@@ -129,11 +130,13 @@ class Locator:
         *,
         excluded: Sequence[str] = (),
         whole: bool = False,
+        most: int = MAX_IMAGES,
     ) -> Location:
         """Estimate the pose of a query, as `locate`. details: of K. excluded: names of model images
         not to match, besides the query itself. whole: whether the query is certainly neither
-        cropped nor squeezed."""
-        return self._located(*self._loaded(query, K, details), excluded=excluded, whole=whole)
+        cropped nor squeezed. most: number of model images to match."""
+        loaded = self._loaded(query, K, details)
+        return self._located(*loaded, excluded=excluded, whole=whole, most=most)
 
     def _loaded(
         self, query: ImageSource, K: CameraSource, details: KDetails | None
@@ -156,6 +159,7 @@ class Locator:
         *,
         excluded: Sequence[str] = (),
         whole: bool = False,
+        most: int = MAX_IMAGES,
     ) -> Location:
         """The location of a loaded query."""
         seconds = {"load": load_s}
@@ -178,10 +182,11 @@ class Locator:
         names.sort(key=lambda name: -scores[name])
         seconds |= {"match": 0.0, "estimate": 0.0}
         first = replace(self.options, second="none")
-        location = self._searched(image, camera, names, first, seconds, whole=whole)
+        searched = partial(self._searched, image, camera, names, whole=whole, most=most)
+        location = searched(first, seconds)
         is_open = not location.success and wants_second(self.options)
         if is_open and self.matcher.second_matcher is not None:
-            location = self._searched(image, camera, names, self.options, seconds, whole=whole)
+            location = searched(self.options, seconds)
         self.matcher.cache.forget(image)
         return replace(
             location,
@@ -198,10 +203,11 @@ class Locator:
         seconds: dict[str, float],
         *,
         whole: bool,
+        most: int,
     ) -> Location:
         """The location of a query in a search. names: of the database images, the most similar
         first. seconds: the seconds of the search are added to it."""
-        search = LocationSearch(self.model, camera, estimation, names, whole=whole)
+        search = LocationSearch(self.model, camera, estimation, names, whole=whole, most=most)
         against_K = 0  # database images
         while (name := search.next_image()) is not None:
             start = time.perf_counter()
@@ -218,7 +224,9 @@ class Locator:
             against_K = max(against_K, search.num_against_K)
             if search.contradicts_K:
                 (assumed,) = with_lines([auto_camera(image)], [image])
-                search = LocationSearch(self.model, assumed, estimation, names, whole=whole)
+                search = LocationSearch(
+                    self.model, assumed, estimation, names, whole=whole, most=most
+                )
         location = search.location()
         if not against_K or (location.success and search.stated is camera):
             return location

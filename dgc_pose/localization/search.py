@@ -74,7 +74,7 @@ class LocationSearch:
     """The search for the pose of one query.
 
     names: of the model images to match, the most similar first. camera: of the query. whole:
-    whether the query is certainly neither cropped nor squeezed.
+    whether the query is certainly neither cropped nor squeezed. most: database images to match.
     """
 
     def __init__(
@@ -85,9 +85,11 @@ class LocationSearch:
         names: Sequence[str],
         *,
         whole: bool = False,
+        most: int = MAX_IMAGES,
     ) -> None:
         self.model, self.camera, self.options = model, replace(camera, identity=None), options
         self.stated, self.waiting, self.whole = camera, list(names), whole
+        self.most = most
         self.pairs: list[Pair] = []
         # By name: for the pairs with hypotheses, and for those that support the common pose.
         self.correspondences: dict[str, PairCorrespondences] = {}
@@ -105,6 +107,8 @@ class LocationSearch:
         self.waiting.remove(name)
         self.pairs.append(Pair(name, pose, matches, points, seen))
         useful = [pair for pair in self.pairs if pair.pose.hypotheses and pair.probability > 0]
+        if not useful or useful[-1] is not self.pairs[-1]:
+            return  # nothing new is known
         if len(useful) + sum(len(pair.points) >= _MIN_POINTS for pair in useful) < 2:
             return
         if not self.correspondences:
@@ -115,8 +119,7 @@ class LocationSearch:
         pairs = list(self.correspondences.values())
         self.shown = [self._points(pair) for pair in useful if len(pair.points)]
         prior = IntrinsicsPrior.of(self.model.cameras[name], self.camera)
-        before = self.pose if useful[-1] is self.pairs[-1] else None
-        self.pose = located(pairs, self.shown, prior, self.options, before)
+        self.pose = located(pairs, self.shown, prior, self.options, self.pose)
         if self.pose is None:
             return
         share, aspect_std = (MOUNTED_STD, 0.0) if self.whole else _EDITED_STDS
@@ -191,7 +194,7 @@ class LocationSearch:
 
     def next_image(self) -> str | None:
         """The database image to match next; None to end the search."""
-        if not self.waiting or len(self.pairs) >= MAX_IMAGES or self._accurate():
+        if not self.waiting or len(self.pairs) >= self.most or self._accurate():
             return None
         if len(self.pairs) >= _HOPELESS and max(p.probability for p in self.pairs) <= _LIKELY:
             return None

@@ -38,9 +38,9 @@ from dgc_pose.localization.fit import even_sample
 from dgc_pose.system.parallel import one_blas_thread
 
 _POSE = 6  # parameters: a rotation vector and the centre
-_ROUNDS, _STEPS = 3, 30  # selections of the inliers, and steps after each
+_ROUNDS, _STEPS = 2, 12  # selections of the inliers, and steps after each
 _MIN_INLIERS = 8  # of a picture or of a pair
-_FITTED = 400  # matches of a pair; the errors of neighbours are correlated
+_FITTED = 200  # matches of a pair; the errors of neighbours are correlated
 _LEAST_INFORMATION = 1e-9  # of a point, over the mean: two lines of sight may be one
 _FIXED = 1e11  # information that fixes the frame
 
@@ -252,7 +252,7 @@ class NormalEquations:
         gradient = np.zeros(count)
         by_points = np.zeros((len(bundle.points), 3, 3))
         self._point_gradient = np.zeros((len(bundle.points), 3))
-        self._cross = np.zeros((count, len(bundle.points), 3))
+        crosses = list[tuple[np.ndarray, np.ndarray, np.ndarray]]()
         for rows in _rows(bundle):
             self.cost += float(cauchy_losses(rows.error, rows.width).sum())
             weighted = rows.slopes * rows.weights[:, None]
@@ -267,7 +267,7 @@ class NormalEquations:
                 by_points[rows.points] += np.einsum("xni,xnj->nij", heavy, by_point)
                 self._point_gradient[rows.points] += (heavy * errors).sum(0)
                 cross = np.einsum("xnk,xni->kni", rows.slopes.reshape(2, len(errors[0]), -1), heavy)
-                self._cross[rows.columns[:, None], rows.points] += cross
+                crosses.append((rows.columns[:, None], rows.points, cross))
         own = bundle.columns[len(bundle.R) :]
         for camera, columns in zip(bundle.cameras, own, strict=True):
             whole[columns, columns] += 1
@@ -275,13 +275,19 @@ class NormalEquations:
             self.cost += float(camera.deviation @ camera.deviation) / 2
         least = _LEAST_INFORMATION * np.trace(by_points, axis1=1, axis2=2).mean()
         self._inverse = np.linalg.inv(by_points + max(least, 1e-300) * np.eye(3))
-        reducing = np.einsum("kni,nij->knj", self._cross, self._inverse).reshape(count, -1)
+        self._cross = np.zeros((count, len(bundle.points), 3))
+        reducing = np.zeros_like(self._cross)
+        for columns, points, cross in crosses:
+            self._cross[columns, points] += cross
+            reducing[columns, points] += np.einsum("kni,nij->knj", cross, self._inverse[points])
+        reducing = reducing.reshape(count, -1)
         self.hessian = whole - reducing @ self._cross.reshape(count, -1).T
         self.gradient = gradient - reducing @ self._point_gradient.ravel()
 
     def moved(self, step: np.ndarray) -> NormalEquations:
         """After a step (K,), with the points that fit it."""
-        along = self._point_gradient + np.einsum("kni,k->ni", self._cross, step)
+        by_step = (step @ self._cross.reshape(len(step), -1)).reshape(-1, 3)
+        along = self._point_gradient + by_step
         shift = np.einsum("nij,nj->ni", self._inverse, along)
         return NormalEquations(self.bundle.moved(step, self.bundle.points - shift))
 

@@ -62,6 +62,7 @@ if TYPE_CHECKING:
     from dgc_pose.pose import CameraSource
 
 _SIMILAR = 6  # each photograph of the walk is paired with this number of similar ones
+_MATCHED = 6  # pictures of the model with each camera; more hardly change the adjustment
 _LEAST_AGREEING = 2  # pictures of the model that must agree with a location
 
 
@@ -272,7 +273,7 @@ def _located(inputs: RigInputs, made: _MadeModels, progress: Progress) -> _Locat
             image = masked(load_image(picture), mask_file(inputs.cameras.masks, picture.name))
             itself = [picture.name] if made.are_own else []
             K = inputs.cameras.exact.get(name)
-            location = locator.locate(image, K, excluded=itself, whole=True)
+            location = locator.locate(image, K, excluded=itself, whole=True, most=_MATCHED)
             each[-1][name] = _checked(location, name, locator)
             progress("cameras", sum(map(len, each)), len(locators) * len(pictures))
     counts = [sum(location.success for location in found.values()) for found in each]
