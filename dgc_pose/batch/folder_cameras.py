@@ -299,9 +299,8 @@ def _pooled(camera: Camera, value: np.ndarray, std: np.ndarray, fitted: bool) ->
     moved = with_parameters(camera, value / [1, camera.focal, camera.focal, 1, 1, 1])
     if fitted and std[0]:
         moved = replace(moved, focal_source="matches", focal_prior=None)
-    focal, *centre, lens, _, aspect = std.tolist()
-    centre_std = float(np.sqrt(np.square(centre).mean())) or camera.centre_std
-    return replace(moved, focal_std=focal, centre_std=centre_std, lens_std=lens, aspect_std=aspect)
+    known = moved.with_deviations(np.diag((std / [1, moved.focal, moved.focal, 1, 1, 1]) ** 2))
+    return replace(known, centre_std=known.centre_std or camera.centre_std)
 
 
 def _parameters(camera: Camera) -> np.ndarray:

@@ -36,6 +36,11 @@ class Part(NamedTuple):
     log_focal: float
     std: float
 
+    def log_density(self, log_focals: np.ndarray | float) -> Any:
+        """The logarithms of the density at ln f, times the weight, up to a constant."""
+        off = (log_focals - self.log_focal) / self.std
+        return self.log_weight - math.log(self.std) - off**2 / 2
+
     def given(self, lines: np.ndarray) -> Part:
         """Update the part with the log-likelihoods (G,) of the lines on `LOG_FOCALS`; the weight
         includes the evidence."""
@@ -70,13 +75,8 @@ class FocalPrior:
     def log_density(self, log_focals: np.ndarray) -> np.ndarray:
         """The logarithms (N,) of the density at ln(f over the longer side), (N,), up to a constant,
         with the lines of this image."""
-        usual, tail = (
-            part.log_weight
-            - math.log(part.std)
-            - ((log_focals - part.log_focal) / part.std) ** 2 / 2
-            for part in (self.usual, self.tail)
-        )
-        density: np.ndarray = np.logaddexp(usual, tail)
+        each = self.usual.log_density(log_focals), self.tail.log_density(log_focals)
+        density: np.ndarray = np.logaddexp(*each)
         return density + np.interp(log_focals, LOG_FOCALS, self.lines)
 
 
@@ -152,6 +152,18 @@ class Camera:
     def as_exact(self) -> Camera:
         """The camera without its standard deviations."""
         return replace(self, focal_std=0.0, centre_std=0.0, lens_std=0.0, aspect_std=0.0)
+
+    def with_deviations(self, covariance: np.ndarray) -> Camera:
+        """The camera with the standard deviations of a covariance (6, 6) of its parameters, see
+        `estimation.intrinsics_prior`."""
+        focal, x, y, lens, _, aspect = np.sqrt(covariance.diagonal().clip(min=0)).tolist()
+        return replace(
+            self,
+            focal_std=focal,
+            centre_std=math.sqrt((x**2 + y**2) / 2) * self.focal,
+            lens_std=lens,
+            aspect_std=aspect,
+        )
 
     @property
     def focal(self) -> float:

@@ -46,6 +46,7 @@ _OTHER_SHARE = 0.03  # files with EXIF data of another crop or lens
 # A K that hardly any photograph has: f over the longer side, fx / fy over that of the pixels, the
 # distance of the principal point from the middle over the side; and the log-odds against each.
 _USUAL_FOCALS, _USUAL_RATIO, _INNER, _EXTREME = (0.3, 4.0), 1.3, 0.25, 20.0
+MOUNTED_STD = 0.02  # of the principal point of a whole photograph, by the mounting of its lens
 FAR_OFF = 0.04  # distance of the principal point from the middle, over the longer side, of a part
 _LEAST_SIDE = 32  # of an image whose size follows from the principal point, pixels
 USUAL_K = 2.0  # improbability of a stated K up to which it is usual
@@ -274,6 +275,17 @@ def of_part(camera: Camera, part: Part) -> Camera:
     (width, height), (fx, fy) = camera.size, camera.K.diagonal()[:2].tolist()
     along_y = math.exp(part.log_focal) * max(width * fy / fx, height)
     return replace(camera.with_focal(camera.focal * along_y / fy), focal_std=part.std)
+
+
+def nearest_part(camera: Camera, focal: float) -> Camera:
+    """The camera with the part of its prior that a focal length, pixels, is likelier of; unchanged
+    without a prior."""
+    prior = camera.focal_prior
+    if prior is None:
+        return camera
+    log_focal = math.log(focal / max(image_size(camera)))
+    parts = (prior.usual, prior.tail)
+    return of_part(camera, max(parts, key=lambda part: part.log_density(log_focal)))
 
 
 def _exif_focal(exif: Exif, size: tuple[float, float]) -> tuple[float, float, float] | None:

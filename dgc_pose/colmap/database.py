@@ -52,11 +52,11 @@ def share(
     root, masks = batch.plan.root, batch.plan.settings.get("masks")
     cache = ImageCache(2**29)
     shared = track_corners(pairs, lambda n: cache.read(root, n, masks), per_image, progress)
-    key_points = {n: turn_points(p, *_to_stored(root / n)) for n, p in shared.key_points.items()}
+    key_points = {n: turn_points(p, *to_stored(root / n)) for n, p in shared.key_points.items()}
     return SharedMatches(key_points, shared.pairs)
 
 
-def _to_stored(path: Path) -> tuple[np.ndarray, Size]:
+def to_stored(path: Path) -> tuple[np.ndarray, Size]:
     """The rotation (2, 2) from an upright image to its stored pixels, and its (width, height)."""
     header = image_header(path)
     return exif_turn(header.exif.orientation).T, header.size
@@ -78,7 +78,7 @@ def write_shared(batch: Batch, shared: SharedMatches, database: Path) -> None:
     """Write the key points of `share` as a database, replacing an existing file. Raises what
     `write_database` raises."""
     plan = batch.plan
-    turns = {name: _to_stored(plan.root / name) for name in plan.final_cameras}
+    turns = {name: to_stored(plan.root / name) for name in plan.final_cameras}
     cameras = {name: camera.turned(*turns[name]) for name, camera in plan.final_cameras.items()}
     rows = [
         _as_stored(row, *(turns[name][0] for name in row.names))

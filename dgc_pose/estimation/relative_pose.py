@@ -20,7 +20,7 @@ from dgc_pose.estimation.camera_model import camera_warnings, unusual_cameras
 from dgc_pose.estimation.candidates import Candidates, candidates
 from dgc_pose.estimation.covariance import NORMAL_90, error_radius_deg, pose_covariance
 from dgc_pose.estimation.evidence import Evidence, measured
-from dgc_pose.estimation.intrinsics_prior import FOCALS, SIZE, IntrinsicsPrior
+from dgc_pose.estimation.intrinsics_prior import FOCALS, SIZE, IntrinsicsPrior, parameter_stds
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.probability import DOUBTFUL, ProbabilityModel, calibrated_focal_std
 from dgc_pose.estimation.problem import MIN_MATCHES, Hypothesis, TwoViewProblem, odd_extent
@@ -220,32 +220,30 @@ def uncertainty(found: Candidates) -> Uncertainty:
         first, unit1 = _calibrated(cameras[0], of_cameras[:SIZE, :SIZE])
         second, unit2 = _calibrated(cameras[1], of_cameras[SIZE:, SIZE:])
         cameras = first, second
-        camera_covariance = of_cameras * np.outer(unit1 + unit2, unit1 + unit2)
+        units = np.concatenate([unit1, unit2])
+        camera_covariance = of_cameras * np.outer(units, units)
     focal_90_percent = 100 * NORMAL_90 * focal_std or None
     return Uncertainty(cameras, covariance, camera_covariance, focal_90_percent)
 
 
-def _calibrated(camera: Camera, covariance: np.ndarray) -> tuple[Camera, list[float]]:
+def _calibrated(camera: Camera, covariance: np.ndarray) -> tuple[Camera, np.ndarray]:
     """A fitted camera with standard deviations from a covariance (6, 6), with the calibration of
-    the focal length and not above the camera's own; and the ratios (6,) of these to the raw
-    deviations of its parameters, 0 for exact ones."""
+    the focal length and not above the camera's own; and the ratios (6,) of these, with the
+    principal point in pixels, to the raw deviations of its parameters, 0 for exact ones."""
     if camera.exact:
-        return camera, [0.0] * SIZE
-    focal, x, y, lens, _, aspect = covariance.diagonal().tolist()
-    raw = [focal**0.5, ((x + y) / 2) ** 0.5, lens**0.5, aspect**0.5]
-    factor = calibrated_focal_std(raw[0]) / raw[0] if raw[0] else 1.0
-    camera = replace(
+        return camera, np.zeros(SIZE)
+    raw = camera.with_deviations(covariance)
+    factor = calibrated_focal_std(raw.focal_std) / raw.focal_std if raw.focal_std else 1.0
+    calibrated = replace(
         camera,
-        focal_std=min(factor * raw[0], camera.focal_std),
-        centre_std=min(factor * raw[1] * camera.focal, camera.centre_std),
-        lens_std=min(factor * raw[2], camera.lens_std),
-        aspect_std=min(factor * raw[3], camera.aspect_std),
+        focal_std=min(factor * raw.focal_std, camera.focal_std),
+        centre_std=min(factor * raw.centre_std, camera.centre_std),
+        lens_std=min(factor * raw.lens_std, camera.lens_std),
+        aspect_std=min(factor * raw.aspect_std, camera.aspect_std),
     )
-    stds = camera.focal_std, camera.centre_std, camera.lens_std, camera.aspect_std
-    by_focal, by_centre, by_lens, by_aspect = (
-        std / before if before else 0.0 for std, before in zip(stds, raw, strict=True)
-    )
-    return camera, [by_focal, by_centre, by_centre, by_lens, by_lens, by_aspect]
+    before = np.array(parameter_stds(raw))
+    ratios = np.divide(parameter_stds(calibrated), before, out=np.zeros(SIZE), where=before > 0)
+    return calibrated, ratios * (1, camera.focal, camera.focal, 1, 1, 1)
 
 
 def gathered(found: Candidates, known: Uncertainty) -> Evidence:

@@ -19,6 +19,21 @@ from dgc_pose.matches import Matches
 LocationStatus = Literal["located", "no_scale", "nowhere", "bad_input"]
 
 
+_RIGHT_DEG = 5.0  # largest error of R of a right location
+_RIGHT_SHARE = 0.05  # largest error of its centre, over the extent
+
+
+def small_errors_probability(covariance: np.ndarray, extent: float) -> float:
+    """Probability that a location at the right place has small errors, by its covariance (6, 6).
+    extent: of the model."""
+    errors = error_radius_deg(covariance[:3, :3]), error_radius(covariance[3:6, 3:6])
+    within = 1.0
+    for error, limit in zip(errors, (_RIGHT_DEG, _RIGHT_SHARE * extent), strict=True):
+        if error > 0:  # a Rayleigh distribution is below it in nine cases of ten
+            within *= 1 - 0.1 ** min((limit / error) ** 2, 300)
+    return within
+
+
 @dataclass(frozen=True, eq=False)
 class DatabaseImage:
     """An image of the model that was matched with the query."""
@@ -56,6 +71,7 @@ class Location:
             probabilities of the pairs are unknown.
         camera: The query's camera. If the query is located and its K is not exact, with the focal
             length fitted to the matches.
+        stated: The query's camera as stated or assumed before the matches.
         warnings: Sentences for the user.
         seconds: Time of each step: "load", "describe", "match", "estimate".
     """
@@ -70,6 +86,7 @@ class Location:
     covariance: np.ndarray | None = None
     probability: float | None = 0.0
     camera: Camera | None = None
+    stated: Camera | None = None
     warnings: tuple[str, ...] = ()
     seconds: Mapping[str, float] = field(default_factory=dict)
 
@@ -92,6 +109,17 @@ class Location:
     def cam_from_world(self) -> np.ndarray | None:
         """[R | t] (3, 4); None unless located."""
         return None if self.R is None or self.t is None else np.column_stack([self.R, self.t])
+
+    def with_covariance(self, covariance: np.ndarray, extent: float) -> Location:
+        """The location with another covariance (6, 6), and the probability that is left by it.
+        extent: of the model."""
+        assert self.covariance is not None
+        if self.probability is None:
+            return replace(self, covariance=covariance)
+        before = small_errors_probability(self.covariance, extent)
+        right = min(self.probability / before, 1.0) if before else 0.0
+        probability = right * small_errors_probability(covariance, extent)
+        return replace(self, covariance=covariance, probability=probability)
 
     def with_pose(self, cam_from_world: np.ndarray, spread: np.ndarray) -> Location:
         """The location with another pose (3, 4) and, in place of the covariance C, spread C

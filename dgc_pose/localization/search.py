@@ -11,7 +11,7 @@ from itertools import combinations
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera, image_size
-from dgc_pose.cameras.prior import FAR_OFF
+from dgc_pose.cameras.prior import FAR_OFF, MOUNTED_STD
 from dgc_pose.estimation import EstimationOptions, RelativePose, camera_texts
 from dgc_pose.estimation.camera_changes import is_edited
 from dgc_pose.estimation.covariance import error_radius, error_radius_deg
@@ -25,7 +25,7 @@ from dgc_pose.localization.correspondences import (
     WorldPose,
 )
 from dgc_pose.localization.fit import fitted, located, world_covariance
-from dgc_pose.localization.location import DatabaseImage, Location
+from dgc_pose.localization.location import DatabaseImage, Location, small_errors_probability
 from dgc_pose.localization.picture import picture_text
 from dgc_pose.matches import Matches
 from dgc_pose.model import Model
@@ -36,15 +36,13 @@ _MIN_POINTS = 12  # model points with which a single database image determines t
 _KNOWN_FOCAL_STD = 0.01  # of ln f; below it, the camera counts as exact in further pairs
 _LIKELY = 0.1  # a pair's pose of higher probability is likely
 _ACCURATE_DEG, _ACCURATE_SHARE = 0.05, 0.001  # sufficient errors: of R; of the centre / extent
-_RIGHT_DEG = 5.0  # largest error of R of a right location
-_RIGHT_SHARE = 0.05  # largest error of its centre, over the extent
 _MIN_AGREEING = 3  # database images that must agree for the errors to suffice
 _MIN_AGAINST_K = 2  # more than half of at least this many database images contradict a wrong K
 _CANDIDATES = 12  # most similar database images, the candidates for the next one
 _PAIR_ERROR = 0.005  # error of a pair's direction, radians, for the choice of the next image
 # For an image that may be cropped or squeezed, standard deviations of its centre, over the longer
-# side, and of ln fy / fx; for a whole image, only of its centre, from the mounting of lenses.
-_EDITED_STDS, _CENTRE_STD = (0.1, 0.3), 0.02
+# side, and of ln fy / fx.
+_EDITED_STDS = 0.1, 0.3
 # Least ln fy / fx that is worth a warning; deviations by which it and the centre are unusual.
 _SQUEEZED = 0.02
 _UNUSUAL_STDS = 3.0
@@ -121,7 +119,7 @@ class LocationSearch:
         self.pose = located(pairs, self.shown, prior, self.options, before)
         if self.pose is None:
             return
-        share, aspect_std = (_CENTRE_STD, 0.0) if self.whole else _EDITED_STDS
+        share, aspect_std = (MOUNTED_STD, 0.0) if self.whole else _EDITED_STDS
         centre_std = share * max(self.camera.size or (0,))
         if is_edited(self.stated) and self.camera.centre_std < centre_std:
             self.camera = replace(self.camera, centre_std=centre_std, aspect_std=aspect_std)
@@ -136,16 +134,8 @@ class LocationSearch:
         self.fitted = with_parameters(self.camera, found.parameters)
         if len(prior):
             of_cameras = prior.basis @ self.covariance[6:, 6:] @ prior.basis.T
-            focal, x, y, lens, _, aspect = np.sqrt(of_cameras.diagonal()[SIZE:]).tolist()
-            self.fitted = replace(
-                self.fitted,
-                focal_std=focal,
-                centre_std=(x + y) / 2 * self.fitted.focal,
-                lens_std=lens,
-                aspect_std=aspect,
-                focal_source="matches",
-                focal_prior=None,
-            )
+            known = self.fitted.with_deviations(of_cameras[SIZE:, SIZE:])
+            self.fitted = replace(known, focal_source="matches", focal_prior=None)
 
     @property
     def is_placed(self) -> bool:
@@ -177,6 +167,8 @@ class LocationSearch:
             return self.camera
         best = max(fits, key=lambda pose: pose.probability or 0.0).camera2
         assert best is not None
+        if self.whole:  # the pair's camera may be squeezed or off centre
+            best = replace(best, K=self.camera.with_focal(best.focal).K)
         return replace(
             best,
             focal_std=self.camera.focal_std,
@@ -237,6 +229,9 @@ class LocationSearch:
             # The probability of a location is tested for the network's matches alone.
             poses = [pair.pose for pair in self.pairs]
             is_known = not any(p.any_probability is None or p.tested_matchers for p in poses)
+            right = self._probability() * small_errors_probability(
+                self.covariance, self.model.extent
+            )
             return Location(
                 "located",
                 "",
@@ -244,8 +239,9 @@ class LocationSearch:
                 pose.R,
                 pose.centre,
                 covariance=self.covariance[:6, :6],
-                probability=self._probability() * self._has_small_errors() if is_known else None,
+                probability=right if is_known else None,
                 camera=self.fitted,
+                stated=self.stated,
                 warnings=self._unusual_camera(),
             )
         likely = [pair for pair in self.pairs if pair.pose.success]
@@ -328,17 +324,6 @@ class LocationSearch:
         agreeing = [pair.pose for pair in self.pairs if pair.name in self.agreeing]
         surest = max((pose.same_place_probability for pose in agreeing), default=0.0)
         return min(surest, self._by_pairs())
-
-    def _has_small_errors(self) -> float:
-        """Probability that a location at the right place has small errors, by its covariance."""
-        assert self.covariance is not None
-        errors = error_radius_deg(self.covariance[:3, :3]), error_radius(self.covariance[3:6, 3:6])
-        limits = _RIGHT_DEG, _RIGHT_SHARE * self.model.extent
-        within = 1.0
-        for error, limit in zip(errors, limits, strict=True):
-            if error > 0:  # a Rayleigh distribution is below it in nine cases of ten
-                within *= 1 - 0.1 ** min((limit / error) ** 2, 300)
-        return within
 
     def _by_pairs(self) -> float:
         """Probability that the location is right, for pairs with independent errors: either exactly

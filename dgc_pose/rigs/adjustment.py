@@ -2,26 +2,34 @@
 the walk and the cameras; without a walk, the cameras' own batch determines the poses."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from dgc_pose.batch.result import Batch
-from dgc_pose.cameras.camera import Camera, matrix_camera
-from dgc_pose.colmap.reconstruction import adjust
+from dgc_pose.cameras.camera import Camera, colmap_camera, image_size, matrix_camera
+from dgc_pose.cameras.prior import LENS_STD, MOUNTED_STD, nearest_part
+from dgc_pose.colmap.database import to_stored
+from dgc_pose.estimation.intrinsics_prior import (
+    SIZE,
+    between,
+    have_same_lens,
+    parameter_stds,
+    with_parameters,
+)
+from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.geometry.pixels import turn_points
 from dgc_pose.localization.location import Location
 from dgc_pose.model import HALF_PIXEL, Model
+from dgc_pose.rigs.bundle import Bundle, BundleCamera, Matched, Observed, minimised
 from dgc_pose.system.colmap_library import pycolmap
 
 # Largest reprojection error of a point in the adjustment: in pixels, or times the median error, as
-# the location may be off. A camera with fewer than `_MIN_POINTS` keeps its location.
-_MAX_ERROR_PX, _WIDE, _MIN_POINTS = 2.0, 3.0, 30
-# Factors of the expected errors of R and the centre, which treat the walk's model as exact. The
-# first are for a fitted camera; the second for an exact K, which cannot compensate for errors of
-# the walk's camera. See docs/experiments.md.
-_FITTED, _EXACT = (1.5, 1.0), (2.0, 1.5)
+# the location may be off.
+_MAX_ERROR_PX, _WIDE = 2.0, 3.0
+_ERROR_FACTOR = 1.75  # expected errors over those of the adjustment: docs/experiments.md
 WALK = "walk/"  # prefix of the names of the walk's images
 
 
@@ -50,47 +58,207 @@ def extended(
 
 
 def adjusted(
-    model: Model, located: Mapping[str, Location], pictures: Mapping[str, Path]
+    model: Model,
+    located: Mapping[str, Location],
+    pictures: Mapping[str, Path],
+    stated: Mapping[str, Camera],
 ) -> tuple[pycolmap.Reconstruction, dict[str, int], dict[str, Location]]:
     """Bundle adjustment of the model of `extended`: the model, the image ids, and the located
-    cameras with their new poses. Exact cameras keep their K, and the walk keeps its cameras.
+    cameras with new poses, cameras, errors and probabilities. Exact cameras keep their K.
 
-    model: with COLMAP's form. pictures: the upright pictures of the cameras, by name.
+    model: with COLMAP's form. pictures: the upright pictures of the cameras, by name. stated: the
+    cameras of the walk's upright images as stated or assumed, by name.
     """
     whole, numbers = extended(model, located, pictures)
-    assert model.colmap is not None
-    keys, open_ = np.array([*model.colmap.points3D]), []
+    start = _Start(model, whole)
+    observed = start.walk_observed()
+    matched = list[Matched]()
     for name, location in located.items():
-        image = whole.images[numbers[name]]
-        agreeing = [of for of in location.database_images if of.agrees]
-        points = np.concatenate([of.points for of in agreeing])
-        seen = np.concatenate([of.seen for of in agreeing])
-        if len(points) < _MIN_POINTS:
-            continue
-        shown = [image.project_point(xyz) for xyz in model.points[points]]
-        behind = np.full(2, np.nan)
-        at = np.array([behind if pixel is None else pixel - HALF_PIXEL for pixel in shown])
-        error = np.abs(at.reshape(-1, 2) - seen).max(1)
-        good = np.flatnonzero(error < max(_MAX_ERROR_PX, _WIDE * float(np.nanmedian(error))))
-        good = good[np.unique(points[good], return_index=True)[1]]
-        if len(good) < _MIN_POINTS:
-            continue
-        if location.camera is not None and not location.camera.exact:
-            open_.append(image.name)
-        pixels = [pycolmap.Point2D(pixel + HALF_PIXEL) for pixel in seen[good]]
-        image.points2D = pycolmap.Point2DList(pixels)
-        for index, key in enumerate(keys[points[good]].tolist()):
-            whole.add_observation(key, pycolmap.TrackElement(image.image_id, index))
-    adjust(whole, open_)
-    poses = {}
+        observed += start.observed(numbers[name], location)
+        matched += start.matched(numbers[name], location)
+    priors = start.walk_priors(stated)
     for name, location in located.items():
-        image, camera = whole.images[numbers[name]], location.camera
-        assert camera is not None  # of a location
-        grown = np.diag(np.repeat(_EXACT if camera.exact else _FITTED, 3))
-        placed = location.with_pose(image.cam_from_world().matrix(), grown)
-        adjusted_camera = _with_stds(matrix_camera(image.camera), camera)
-        poses[name] = replace(placed, camera=adjusted_camera)
-    return whole, numbers, poses
+        if location.stated is not None:
+            priors[start.camera_of[start.index[numbers[name]]]] = location.stated
+    bundle = Bundle(
+        [_bundle_camera(camera, priors.get(n, camera)) for n, camera in enumerate(start.cameras)],
+        start.camera_of,
+        start.poses[:, :, :3],
+        -np.einsum("nji,nj->ni", start.poses[:, :, :3], start.poses[:, :, 3]),
+        start.points,
+        observed,
+        matched,
+        [start.index[number] for number in start.index if number not in numbers.values()],
+    )
+    fit = minimised(bundle)
+    covariance = _ERROR_FACTOR**2 * fit.covariance()
+    start.write(fit.bundle, [start.index[number] for number in numbers.values()])
+    placed = {
+        name: _placed(location, fit.bundle, start, start.index[numbers[name]], covariance)
+        for name, location in located.items()
+    }
+    return whole, numbers, placed
+
+
+class _Start:
+    """The model of `extended` before its adjustment, in pixels as stored.
+
+    Attributes:
+        index: By image id, the number of each picture with a pose.
+        poses: cam_from_world (N, 3, 4).
+        cameras: Of the pictures, each once.
+        camera_of: (N,) their numbers.
+        points: (P, 3) world.
+        extent: The largest distance of two pictures of the walk.
+    """
+
+    def __init__(self, model: Model, whole: pycolmap.Reconstruction) -> None:
+        self._model, self._whole = model, whole
+        self._images = [image for image in whole.images.values() if image.has_pose]
+        self._ids = sorted({image.camera_id for image in self._images})
+        self._by_name = {
+            image.name.removeprefix(WALK): number
+            for number, image in enumerate(self._images)
+            if image.name.startswith(WALK)
+        }
+        self._point_index = {key: index for index, key in enumerate(whole.points3D)}
+        self.index = {image.image_id: number for number, image in enumerate(self._images)}
+        self.poses = np.stack([image.cam_from_world().matrix() for image in self._images])
+        self.cameras = [matrix_camera(whole.cameras[number]) for number in self._ids]
+        self.camera_of = [self._ids.index(image.camera_id) for image in self._images]
+        self.extent = model.extent
+        self.points = np.array([p.xyz for p in whole.points3D.values()]).reshape(-1, 3)
+
+    def camera(self, number: int) -> Camera:
+        """The camera of a picture."""
+        return self.cameras[self.camera_of[number]]
+
+    def walk_priors(self, stated: Mapping[str, Camera]) -> dict[int, Camera]:
+        """By their numbers, the cameras of the walk as stated, for the pixels as stored. stated: by
+        image name."""
+        priors: dict[int, Camera] = {}
+        for name, number in self._by_name.items():
+            camera = stated[name].turned(*to_stored(self._model.root / name))
+            priors.setdefault(self.camera_of[number], camera)
+        return priors
+
+    def walk_observed(self) -> list[Observed]:
+        """The points that COLMAP saw in the pictures of the walk."""
+        parts = list[Observed]()
+        for number in self._by_name.values():
+            shown = [p for p in self._images[number].points2D if p.has_point3D()]
+            if shown:
+                which = np.array([self._point_index[point.point3D_id] for point in shown])
+                seen = np.stack([point.xy for point in shown]) - HALF_PIXEL
+                parts.append(self._observed(number, which, seen))
+        return parts
+
+    def observed(self, image_id: int, location: Location) -> list[Observed]:
+        """The points of the model that a located camera shows."""
+        agreeing = [image for image in location.database_images if image.agrees]
+        which = np.concatenate([image.points for image in agreeing])
+        seen = np.concatenate([image.seen for image in agreeing])
+        return [self._observed(self.index[image_id], which, seen)] if len(which) else []
+
+    def _observed(self, number: int, which: np.ndarray, seen: np.ndarray) -> Observed:
+        """Points of the model (n,) int at the pixels (n, 2) of a picture; of several pixels of a
+        point, the nearest to where it should be."""
+        pose, camera = self.poses[number], self.camera(number)
+        local = self.points[which] @ pose[:, :3].T + pose[:, 3]
+        normalised = camera.normalise(seen)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            error = np.abs(local[:, :2] / local[:, 2:] - normalised).max(1)
+        error[~np.isfinite(error) | (local[:, 2] <= 0)] = np.inf
+        order = np.argsort(error, kind="stable")
+        order = order[np.isfinite(error[order])]
+        chosen = order[np.unique(which[order], return_index=True)[1]]
+        median = float(np.median(error[chosen])) if len(chosen) else 0.0
+        threshold = max(_MAX_ERROR_PX / camera.focal, _WIDE * median)
+        return Observed(number, which[chosen], normalised[chosen], threshold)
+
+    def matched(self, image_id: int, location: Location) -> list[Matched]:
+        """The matches of a located camera with the pictures that agree with it."""
+        parts = []
+        for image in location.database_images:
+            if not image.agrees:
+                continue
+            pair = self._by_name[image.name], self.index[image_id]
+            turn, size = to_stored(self._model.root / image.name)
+            points1 = turn_points(image.matches.points1, turn, size)
+            matches = replace(image.matches, points1=points1)
+            cameras = self.camera(pair[0]), self.camera(pair[1])
+            parts.append(Matched(pair, TwoViewProblem.of(matches, *cameras)))
+        return parts
+
+    def final_cameras(self, bundle: Bundle) -> list[Camera]:
+        """The cameras after the adjustment."""
+        return [
+            with_parameters(camera, fitted.parameters)
+            for camera, fitted in zip(self.cameras, bundle.cameras, strict=True)
+        ]
+
+    def write(self, bundle: Bundle, added: Collection[int]) -> None:
+        """Change the model to the adjusted one, with the observations of the pictures `added`."""
+        for number, image in enumerate(self._images):
+            R = bundle.R[number]
+            pose = pycolmap.Rigid3d(pycolmap.Rotation3d(R), -R @ bundle.centres[number])
+            self._whole.frames[image.frame_id].rig_from_world = pose
+        for number, camera in zip(self._ids, self.final_cameras(bundle), strict=True):
+            theirs = colmap_camera(camera, self._whole.cameras[number].model.name)
+            self._whole.cameras[number].model = theirs.model
+            self._whole.cameras[number].params = theirs.params
+        keys = [*self._point_index]
+        for key, xyz in zip(keys, bundle.points, strict=True):
+            self._whole.points3D[key].xyz = xyz
+        for part in bundle.observed:
+            if part.image not in added:
+                continue
+            image = self._images[part.image]
+            pixels = self.camera(part.image).project(part.seen) + HALF_PIXEL
+            image.points2D = pycolmap.Point2DList([pycolmap.Point2D(pixel) for pixel in pixels])
+            for index, point in enumerate(part.points):
+                element = pycolmap.TrackElement(image.image_id, index)
+                self._whole.add_observation(keys[point], element)
+        self._whole.update_point_3d_errors()
+
+
+def _bundle_camera(start: Camera, stated: Camera) -> BundleCamera:
+    """A camera of the adjustment. stated: the same camera as stated or assumed; its pixels stay as
+    they are, and its lens and principal point are open only if they are uncertain there."""
+    likely = nearest_part(stated, start.focal)
+    if not have_same_lens(start, likely):
+        likely = replace(likely, distortion=start.distortion)
+    centre_std = max(stated.centre_std, MOUNTED_STD * max(image_size(start)))
+    wide = replace(
+        likely,
+        centre_std=centre_std if stated.centre_std else 0.0,
+        lens_std=max(stated.lens_std, LENS_STD) if stated.lens_std else 0.0,
+    )
+    stds = np.array(parameter_stds(wide))
+    expected = between(start, likely)
+    return BundleCamera(start.distortion, np.diag(stds)[:, stds > 0], expected, np.zeros(SIZE))
+
+
+def _placed(
+    location: Location, bundle: Bundle, start: _Start, number: int, covariance: np.ndarray
+) -> Location:
+    """The location of picture `number` after the adjustment. covariance: of all columns."""
+    fitted, assumed = bundle.cameras[bundle.camera_of[number]], location.camera
+    assert assumed is not None and location.covariance is not None  # of a location
+    changed = with_parameters(start.camera(number), fitted.parameters)
+    camera = replace(assumed, K=changed.K, distortion=changed.distortion)
+    if not assumed.exact:
+        own = bundle.camera_columns(number)
+        of_camera = fitted.basis @ covariance[np.ix_(own, own)] @ fitted.basis.T
+        camera = camera.with_deviations(of_camera)
+    pose = bundle.columns[number]
+    of_pose = covariance[np.ix_(pose, pose)]
+    return replace(
+        location.with_covariance(of_pose, start.extent),
+        R=bundle.R[number],
+        centre=bundle.centres[number],
+        camera=camera,
+    )
 
 
 def _with_stds(camera: Camera, of: Camera) -> Camera:

@@ -324,7 +324,7 @@ def _adjusted(
         return model.colmap, {name: by_file[pictures[name].name] for name in placed}, placed
     if made.batch is None:
         return *extended(model, placed, pictures), placed
-    return adjusted(model, placed, pictures)
+    return adjusted(model, placed, pictures, made.batch.plan.cameras)
 
 
 def _require_scaled_placed(scale: str | None, placed: Mapping[str, Location]) -> None:
