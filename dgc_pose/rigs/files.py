@@ -111,9 +111,9 @@ def compared(
 
     start: cam_from_world (3, 4) of the older calibration, by name, in any frame and unit;
     start_cameras: its cameras. cameras: located. A similarity aligns the frames: the best one from
-    two cameras, refitted to all cameras that agree with it. If there are only two common cameras,
-    the second is compared relative to the first, up to the distance between them. Raises InputError
-    for fewer.
+    two cameras, refitted to all cameras that agree with it. Two cameras that agree only in each
+    other's place are compared there. If there are only two common cameras, the second is compared
+    relative to the first, up to the distance between them. Raises InputError for fewer.
     """
     names = [name for name in cameras if name in start]
     if len(names) < 2:

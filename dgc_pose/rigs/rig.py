@@ -276,6 +276,8 @@ def _located(inputs: RigInputs, made: _MadeModels, progress: Progress) -> _Locat
             location = locator.locate(image, K, excluded=itself, whole=True, most=_MATCHED)
             each[-1][name] = _checked(location, name, locator)
             progress("cameras", sum(map(len, each)), len(locators) * len(pictures))
+        if all(location.success for location in each[-1].values()):
+            break  # no further model places more
     counts = [sum(location.success for location in found.values()) for found in each]
     best = int(np.argmax(counts))
     cameras = dict(each[best])
