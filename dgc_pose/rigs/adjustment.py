@@ -81,7 +81,7 @@ def adjusted(
         if location.stated is not None:
             priors[start.camera_of[start.index[numbers[name]]]] = location.stated
     bundle = Bundle(
-        [_bundle_camera(camera, priors.get(n, camera)) for n, camera in enumerate(start.cameras)],
+        [bundle_camera(camera, priors.get(n, camera)) for n, camera in enumerate(start.cameras)],
         start.camera_of,
         start.poses[:, :, :3],
         -np.einsum("nji,nj->ni", start.poses[:, :, :3], start.poses[:, :, 3]),
@@ -206,7 +206,7 @@ class _Start:
         for number, camera in zip(self._ids, self.final_cameras(bundle), strict=True):
             theirs = colmap_camera(camera, self._whole.cameras[number].model.name)
             self._whole.cameras[number].model = theirs.model
-            self._whole.cameras[number].params = theirs.params
+            self._whole.cameras[number].params = theirs.params.tolist()
         keys = [*self._point_index]
         for key, xyz in zip(keys, bundle.points, strict=True):
             self._whole.points3D[key].xyz = xyz
@@ -222,18 +222,16 @@ class _Start:
         self._whole.update_point_3d_errors()
 
 
-def _bundle_camera(start: Camera, stated: Camera) -> BundleCamera:
+def bundle_camera(start: Camera, stated: Camera) -> BundleCamera:
     """A camera of the adjustment. stated: the same camera as stated or assumed; its pixels stay as
-    they are, and its lens and principal point are open only if they are uncertain there."""
+    they are, and only what is uncertain is open."""
     likely = nearest_part(stated, start.focal)
     if not have_same_lens(start, likely):
         likely = replace(likely, distortion=start.distortion)
-    centre_std = max(stated.centre_std, MOUNTED_STD * max(image_size(start)))
-    wide = replace(
-        likely,
-        centre_std=centre_std if stated.centre_std else 0.0,
-        lens_std=max(stated.lens_std, LENS_STD) if stated.lens_std else 0.0,
-    )
+    wide = likely
+    if stated.focal_source != "given":  # as in a location, see `LocationSearch`
+        centre_std = max(stated.centre_std, MOUNTED_STD * max(image_size(start)))
+        wide = replace(likely, centre_std=centre_std, lens_std=max(stated.lens_std, LENS_STD))
     stds = np.array(parameter_stds(wide))
     expected = between(start, likely)
     return BundleCamera(start.distortion, np.diag(stds)[:, stds > 0], expected, np.zeros(SIZE))

@@ -277,12 +277,13 @@ class NormalEquations:
         self._inverse = np.linalg.inv(by_points + max(least, 1e-300) * np.eye(3))
         self._cross = np.zeros((count, len(bundle.points), 3))
         reducing = np.zeros_like(self._cross)
-        for columns, points, cross in crosses:
-            self._cross[columns, points] += cross
-            reducing[columns, points] += np.einsum("kni,nij->knj", cross, self._inverse[points])
-        reducing = reducing.reshape(count, -1)
-        self.hessian = whole - reducing @ self._cross.reshape(count, -1).T
-        self.gradient = gradient - reducing @ self._point_gradient.ravel()
+        for rows_columns, points, cross in crosses:
+            self._cross[rows_columns, points] += cross
+            weighted = np.einsum("kni,nij->knj", cross, self._inverse[points])
+            reducing[rows_columns, points] += weighted
+        flat = reducing.reshape(count, -1)
+        self.hessian = whole - flat @ self._cross.reshape(count, -1).T
+        self.gradient = gradient - flat @ self._point_gradient.ravel()
 
     def moved(self, step: np.ndarray) -> NormalEquations:
         """After a step (K,), with the points that fit it."""

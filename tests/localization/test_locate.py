@@ -152,7 +152,7 @@ def test_a_query_that_is_not_placed_is_searched_again_with_the_second_matcher(
     done: list[Second] = []
 
     def search(
-        self: locate.Locator, image: Image, camera: Camera, names: Any, *rest: Any, whole: bool
+        self: locate.Locator, image: Image, camera: Camera, names: Any, *rest: Any, **kinds: Any
     ) -> Location:
         done.append(rest[0].second)
         return Location(statuses[len(done) - 1], "", ())
