@@ -1,14 +1,14 @@
-"""Located cameras in their final model, and in metres. With a walk, one bundle adjustment refines
-the walk and the cameras; without a walk, the cameras' own batch determines the poses."""
+"""Located cameras in their final model, and in metres: one bundle adjustment of the cameras with
+the walk, or with each other."""
 
-import math
-from collections.abc import Collection, Mapping
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.batch.result import Batch
 from dgc_pose.cameras.camera import Camera, colmap_camera, image_size, matrix_camera
 from dgc_pose.cameras.prior import LENS_STD, MOUNTED_STD, nearest_part
 from dgc_pose.colmap.database import to_stored
@@ -71,33 +71,68 @@ def adjusted(
     """
     whole, numbers = extended(model, located, pictures)
     start = _Start(model, whole)
-    observed = start.walk_observed()
-    matched = list[Matched]()
+    walk = [number for number in start.index if number not in numbers.values()]
+    priors = {
+        image.name.removeprefix(WALK): stated[image.name.removeprefix(WALK)]
+        for image in (whole.images[number] for number in walk)
+    }
+    observed = start.known_observed(walk)
     for name, location in located.items():
         observed += start.observed(numbers[name], location)
-        matched += start.matched(numbers[name], location)
-    priors = start.walk_priors(stated)
+    placed = _adjusted(start, located, numbers, observed, priors, walk)
+    return whole, numbers, placed
+
+
+def adjusted_own(
+    model: Model, located: Mapping[str, Location], pictures: Mapping[str, Path]
+) -> tuple[pycolmap.Reconstruction, dict[str, int], dict[str, Location]]:
+    """As `adjusted`, for a model of the cameras' own pictures, all of which determine the frame."""
+    assert model.colmap is not None  # of `upright_model`
+    by_file = {image.name: image.image_id for image in model.colmap.images.values()}
+    numbers = {name: by_file[pictures[name].name] for name in located}
+    start = _Start(model, model.colmap)
+    every = [*start.index]
+    placed = _adjusted(start, located, numbers, start.known_observed(every), {}, every)
+    return model.colmap, numbers, placed
+
+
+def _adjusted(
+    start: _Start,
+    located: Mapping[str, Location],
+    numbers: Mapping[str, int],
+    observed: Sequence[Observed],
+    priors: Mapping[str, Camera],
+    fixing: Sequence[int],
+) -> dict[str, Location]:
+    """Adjust the model of `start`, and return the located cameras.
+
+    numbers: their image ids. priors: cameras of other upright images as stated, by name. fixing:
+    ids of the images that determine the frame.
+    """
+    stated = start.stated(priors)
+    matched = dict[frozenset[int], Matched]()  # once, for two located cameras
     for name, location in located.items():
+        for part in start.matched(numbers[name], location):
+            matched.setdefault(frozenset(part.images), part)
         if location.stated is not None:
-            priors[start.camera_of[start.index[numbers[name]]]] = location.stated
+            stated[start.camera_of[start.index[numbers[name]]]] = location.stated
     bundle = Bundle(
-        [bundle_camera(camera, priors.get(n, camera)) for n, camera in enumerate(start.cameras)],
+        [bundle_camera(camera, stated.get(n, camera)) for n, camera in enumerate(start.cameras)],
         start.camera_of,
         start.poses[:, :, :3],
         -np.einsum("nji,nj->ni", start.poses[:, :, :3], start.poses[:, :, 3]),
         start.points,
         observed,
-        matched,
-        [start.index[number] for number in start.index if number not in numbers.values()],
+        [*matched.values()],
+        [start.index[number] for number in fixing],
     )
     fit = minimised(bundle)
     covariance = _ERROR_FACTOR**2 * fit.covariance()
-    start.write(fit.bundle, [start.index[number] for number in numbers.values()])
-    placed = {
+    start.write(fit.bundle, {start.index[number] for number in {*numbers.values()} - {*fixing}})
+    return {
         name: _placed(location, fit.bundle, start, start.index[numbers[name]], covariance)
         for name, location in located.items()
     }
-    return whole, numbers, placed
 
 
 class _Start:
@@ -116,11 +151,8 @@ class _Start:
         self._model, self._whole = model, whole
         self._images = [image for image in whole.images.values() if image.has_pose]
         self._ids = sorted({image.camera_id for image in self._images})
-        self._by_name = {
-            image.name.removeprefix(WALK): number
-            for number, image in enumerate(self._images)
-            if image.name.startswith(WALK)
-        }
+        names = [image.name.removeprefix(WALK) for image in self._images]
+        self._by_name = {name: n for n, name in enumerate(names) if name in model.poses}
         self._point_index = {key: index for index, key in enumerate(whole.points3D)}
         self.index = {image.image_id: number for number, image in enumerate(self._images)}
         self.poses = np.stack([image.cam_from_world().matrix() for image in self._images])
@@ -133,19 +165,18 @@ class _Start:
         """The camera of a picture."""
         return self.cameras[self.camera_of[number]]
 
-    def walk_priors(self, stated: Mapping[str, Camera]) -> dict[int, Camera]:
-        """By their numbers, the cameras of the walk as stated, for the pixels as stored. stated: by
-        image name."""
-        priors: dict[int, Camera] = {}
-        for name, number in self._by_name.items():
-            camera = stated[name].turned(*to_stored(self._model.root / name))
-            priors.setdefault(self.camera_of[number], camera)
-        return priors
+    def stated(self, cameras: Mapping[str, Camera]) -> dict[int, Camera]:
+        """By their numbers, cameras of upright images, by name, for the pixels as stored."""
+        found: dict[int, Camera] = {}
+        for name, camera in cameras.items():
+            turned = camera.turned(*to_stored(self._model.root / name))
+            found.setdefault(self.camera_of[self._by_name[name]], turned)
+        return found
 
-    def walk_observed(self) -> list[Observed]:
-        """The points that COLMAP saw in the pictures of the walk."""
+    def known_observed(self, image_ids: Collection[int]) -> list[Observed]:
+        """The points that COLMAP saw in images."""
         parts = list[Observed]()
-        for number in self._by_name.values():
+        for number in (self.index[image_id] for image_id in image_ids):
             shown = [p for p in self._images[number].points2D if p.has_point3D()]
             if shown:
                 which = np.array([self._point_index[point.point3D_id] for point in shown])
@@ -257,42 +288,6 @@ def _placed(
         centre=bundle.centres[number],
         camera=camera,
     )
-
-
-def _with_stds(camera: Camera, of: Camera) -> Camera:
-    """The camera with the deviations and the focal source of another one."""
-    source = of.focal_source
-    return replace(camera, focal_std=of.focal_std, centre_std=of.centre_std, focal_source=source)
-
-
-def in_model_of_batch(
-    cameras: Mapping[str, Location], files: Mapping[str, str], model: Model, batch: Batch
-) -> dict[str, Location]:
-    """The locations of pictures with the poses and cameras of the model of their own batch.
-
-    The expected errors are at least those of the picture's best pair, since the points of the model
-    depend on the pictures.
-    """
-    found = dict(cameras)
-    for name, of in cameras.items():
-        if not of.success:
-            continue
-        if (file := files[name]) not in model.poses:
-            reason = "it has a pose, and COLMAP did not take it into the model"
-            found[name] = Location("nowhere", reason, of.database_images)
-            continue
-        errors: list[tuple[float, float]] = []
-        for row in batch.rows:
-            if row.success and row.pose and file in row.names and {*row.names} <= {*model.poses}:
-                apart = float(np.linalg.norm(np.subtract(*map(model.centre, row.names))))
-                angle = math.radians(row.pose.translation_error_90_deg or 0.0)
-                errors.append((row.pose.rotation_error_90_deg or 0.0, angle * apart))
-        stated = np.array([of.rotation_error_90_deg, of.position_error_90])
-        least = np.array(errors or [(0.0, 0.0)]).min(0)
-        grown = np.diag(np.repeat(np.maximum(least / stated, 1.0), 3))
-        camera = _with_stds(model.cameras[file], batch.plan.final_cameras[file])
-        found[name] = replace(of.with_pose(model.poses[file], grown), camera=camera)
-    return found
 
 
 def in_metres(location: Location, pose: np.ndarray, scale: float) -> Location:

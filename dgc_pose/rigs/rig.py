@@ -42,7 +42,7 @@ from dgc_pose.localization.locate import Locator
 from dgc_pose.localization.location import Location
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.model import Model, upright_model
-from dgc_pose.rigs.adjustment import WALK, adjusted, extended, in_metres, in_model_of_batch
+from dgc_pose.rigs.adjustment import WALK, adjusted, adjusted_own, extended, in_metres
 from dgc_pose.rigs.files import FILES
 from dgc_pose.rigs.inputs import (
     FixedCameras,
@@ -292,9 +292,11 @@ def _located(inputs: RigInputs, made: _MadeModels, progress: Progress) -> _Locat
     if missing := [name for name in walked if name not in model.poses]:
         count = f"{len(missing)} of {len(walked)} photographs of the walk are not in its model"
         warnings.append(f"{count}: {shortened(', '.join(missing))}")
-    if made.are_own and made.batch is not None:
-        files = {name: picture.name for name, picture in pictures.items()}
-        cameras = in_model_of_batch(cameras, files, model, made.batch)
+    if made.are_own:
+        reason = "it has a pose, and COLMAP did not take it into the model"
+        for name, location in cameras.items():
+            if location.success and pictures[name].name not in model.poses:
+                cameras[name] = Location("nowhere", reason, location.database_images)
     return _Located(cameras, model, tuple(warnings))
 
 
@@ -320,9 +322,7 @@ def _adjusted(
     after the adjustment; a finished model stays as it is."""
     pictures = inputs.cameras.pictures
     if made.are_own:
-        assert model.colmap is not None  # of `upright_model`
-        by_file = {image.name: image.image_id for image in model.colmap.images.values()}
-        return model.colmap, {name: by_file[pictures[name].name] for name in placed}, placed
+        return adjusted_own(model, placed, pictures)
     if made.batch is None:
         return *extended(model, placed, pictures), placed
     return adjusted(model, placed, pictures, made.batch.plan.cameras)

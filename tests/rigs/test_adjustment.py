@@ -93,7 +93,7 @@ def test_the_adjusted_poses_are_nearer_to_the_truth(tmp_path: Path, exact: bool)
         assert errors[-1][1] < of.position_error_90
         np.testing.assert_allclose(of.camera.K, CAMERA.K, atol=1e-9 if exact else 1.5)
     before, after = (np.mean(errors[first::2], axis=0) for first in (0, 1))
-    assert after[0] < 0.4 * before[0]
+    assert after[0] < (0.4 if exact else 0.6) * before[0]
     assert after[1] < (0.4 if exact else 1.5) * before[1]  # a focal length trades with the centre
     for key, theirs in walk.colmap.cameras.items():
         np.testing.assert_array_equal(whole.cameras[key].params, theirs.params)
