@@ -84,7 +84,10 @@ def adjusted(
 
 
 def adjusted_own(
-    model: Model, located: Mapping[str, Location], pictures: Mapping[str, Path]
+    model: Model,
+    located: Mapping[str, Location],
+    pictures: Mapping[str, Path],
+    stated: Mapping[str, Camera],
 ) -> tuple[pycolmap.Reconstruction, dict[str, int], dict[str, Location]]:
     """As `adjusted`, for a model of the cameras' own pictures, all of which determine the frame."""
     assert model.colmap is not None  # of `upright_model`
@@ -92,7 +95,8 @@ def adjusted_own(
     numbers = {name: by_file[pictures[name].name] for name in located}
     start = _Start(model, model.colmap)
     every = [*start.index]
-    placed = _adjusted(start, located, numbers, start.known_observed(every), {}, every)
+    priors = {name: stated[name] for name in model.poses}
+    placed = _adjusted(start, located, numbers, start.known_observed(every), priors, every)
     return model.colmap, numbers, placed
 
 

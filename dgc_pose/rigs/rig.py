@@ -321,11 +321,10 @@ def _adjusted(
     """COLMAP's form of the model with the placed cameras, their image ids, and their locations
     after the adjustment; a finished model stays as it is."""
     pictures = inputs.cameras.pictures
-    if made.are_own:
-        return adjusted_own(model, placed, pictures)
     if made.batch is None:
         return *extended(model, placed, pictures), placed
-    return adjusted(model, placed, pictures, made.batch.plan.cameras)
+    adjust = adjusted_own if made.are_own else adjusted
+    return adjust(model, placed, pictures, made.batch.plan.cameras)
 
 
 def _require_scaled_placed(scale: str | None, placed: Mapping[str, Location]) -> None:
