@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from dgc_pose.motion import CameraMotion
 
 MOVED, CANNOT_SAY = 1, 3  # exit codes
+PERCENT = 100.0
 CHANGED = {"moved", "zoomed"}  # verdicts
 _COLUMNS = (
     "picture",
@@ -136,15 +137,13 @@ def motions_text(motions: dict[str, CameraMotion]) -> str:
     """A table of the motions for people, and the first picture that has moved or zoomed."""
     rows = [tuple(_COLUMNS)]
     for name, motion in motions.items():
-        cells = ["-"] * (len(_COLUMNS) - 2)
-        if motion.middle_px is not None:
-            cells = [
-                f"{motion.middle_px:.2f} +- {motion.middle_error_90_px:.2f}",
-                f"{motion.worst_px:.2f} +- {motion.worst_error_90_px:.2f}",
-                f"{100 * (motion.zoom - 1):.2f} +- {100 * motion.zoom_error_90:.2f}",
-                f"{motion.angle_deg:.3f} +- {motion.angle_error_90_deg:.3f}",
-                f"{100 * motion.shift:.2f} +- {100 * motion.shift_error_90:.2f}",
-            ]
+        cells = (
+            _cell(motion.middle_px, motion.middle_error_90_px, 2),
+            _cell(motion.worst_px, motion.worst_error_90_px, 2),
+            _cell(motion.zoom, motion.zoom_error_90, 2, PERCENT),
+            _cell(motion.angle_deg, motion.angle_error_90_deg, 3),
+            _cell(motion.shift, motion.shift_error_90, 2, PERCENT),
+        )
         rows.append((printable(name), motion.verdict, *cells))
     reasons = ["", *(motion.reason for motion in motions.values())]
     lines = map("{}  {}".format, aligned(rows).splitlines(), reasons)
@@ -155,3 +154,10 @@ def motions_text(motions: dict[str, CameraMotion]) -> str:
             last = f"the first that has {motion.verdict}: {printable(name)}"
             break
     return "\n".join([*(line.rstrip() for line in lines), last])
+
+
+def _cell(value: float | None, error: float | None, digits: int, scale: float = 1.0) -> str:
+    """A value with its error, times `scale`; - if it is not known."""
+    if value is None or error is None:
+        return "-"
+    return f"{scale * value:.{digits}f} +- {scale * error:.{digits}f}"

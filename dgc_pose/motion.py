@@ -7,7 +7,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from dgc_pose.cameras.prior import with_lines
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation.covariance import NORMAL_90
 from dgc_pose.estimation.picture_motion import (
+    FORWARD,
     SHIFT,
     TURN,
     ZOOM,
@@ -75,7 +76,7 @@ class CameraMotion:
         middle_error_90_px: Its expected error.
         worst_px: How far the part that moves most of the matched picture moves, pixels.
         worst_error_90_px: Its expected error.
-        zoom: Scale of the picture about the principal point: 1.01 is larger by 1 %.
+        zoom: Growth of the picture about the principal point: 0.01 is larger by 1 %.
         zoom_error_90: Its expected error.
         angle_deg: Angle of the rotation, degrees.
         angle_error_90_deg: Its expected error.
@@ -213,36 +214,57 @@ def _motion(matches: Matches, camera: Camera, size: tuple[int, int]) -> CameraMo
     fit, has_changed, doubt = _decided(matched)
     share = fit.agree.sum() / len(count)
     covers = fit.agree.sum() * cell**2 / (size[0] * size[1])
-    counts = {"num_matches": number, "num_inliers": int(np.count_nonzero(fit.agree))}
     if share < (_AGREE if has_changed else _STAY) or covers < _COVERED:
         parts = f"{100 * share:.0f} % of the matched picture, {100 * covers:.0f} % of all,"
-        return CameraMotion("cannot say", f"only {parts} agrees on one motion", **counts)
-    if doubt:
-        return CameraMotion("cannot say", doubt, **counts)
-    if has_changed and _mirrored(matched, fit) > _MIRRORED:
-        return CameraMotion("cannot say", "the matches fit a mirror image", **counts)
-    motion = _measured(matched, fit, size)
-    verdict, reason = _verdict(matched, fit, motion, has_changed)
-    return replace(motion, verdict=verdict, reason=reason, **counts)
+        doubt = f"only {parts} agrees on one motion"
+    elif has_changed and not doubt and _mirrored(matched, fit) > _MIRRORED:
+        doubt = "the matches fit a mirror image"
+    motion = CameraMotion("cannot say", doubt)
+    if not doubt:
+        motion = _measured(matched, fit, size, has_changed)
+    return replace(motion, num_matches=number, num_inliers=int(np.count_nonzero(fit.agree)))
 
 
-def _measured(matched: FixedMatches, fit: MotionFit, size: tuple[int, int]) -> CameraMotion:
-    """The values of a motion with their errors, without a verdict."""
-    variances = fit.covariance.diagonal()
+def _measured(
+    matched: FixedMatches, fit: MotionFit, size: tuple[int, int], has_changed: bool
+) -> CameraMotion:
+    """The values of a motion with their errors, and the verdict."""
     middle = (np.array([size]) - 1) / 2
     (middle_px,), (middle_error,) = _moves(fit, middle, matched.camera)
     moves, errors = _moves(fit, matched.points1[fit.agree > 0], matched.camera)
     worst = int(np.argmax(moves))
-    zoom = math.exp(fit.motion.log_zoom)
+    variances = fit.covariance.diagonal()
+    zoom = math.expm1(fit.motion.log_zoom)
+    zoom_error = NORMAL_90 * (1 + zoom) * math.sqrt(variances[ZOOM])
+    how_far = (
+        f"the middle moves by {middle_px:.1f} +- {middle_error:.1f} px, the worst place by "
+        f"{moves[worst]:.1f} +- {errors[worst]:.1f}"
+    )
+    zoomed = ""
+    if abs(zoom) > _SIGNIFICANT * zoom_error:
+        zoomed = f"zoomed by {100 * zoom:.2f} +- {100 * zoom_error:.2f} %"
+    beside = _beside_zoom(matched, fit)
+    verdict: Literal["still", "moved", "zoomed", "cannot say"] = "cannot say"
+    reason = how_far
+    if has_changed and beside.exceeds and beside.bound_deg >= STILL_DEG:
+        verdict = "moved"
+        reason = f"{how_far}, {zoomed}" if zoomed else how_far
+    elif zoomed and abs(zoom) >= ZOOMED:
+        verdict = "zoomed"
+        reason = f"{zoomed}, {how_far}"
+    elif beside.bound_deg < STILL_DEG:
+        verdict = "still"
+        less = f"the picture moves by less than {beside.bound_deg + 5e-4:.3f} deg"
+        reason = f"{zoomed}; beside the zoom {less}" if zoomed else less
     return CameraMotion(
-        "cannot say",
-        "",
+        verdict,
+        reason,
         middle_px=float(middle_px),
         middle_error_90_px=float(middle_error),
         worst_px=float(moves[worst]),
         worst_error_90_px=float(errors[worst]),
         zoom=zoom,
-        zoom_error_90=NORMAL_90 * zoom * math.sqrt(variances[ZOOM]),
+        zoom_error_90=zoom_error,
         angle_deg=rotation_angle_deg(fit.motion.R),
         angle_error_90_deg=math.degrees(NORMAL_90 * math.sqrt(variances[TURN].sum())),
         shift=float(np.linalg.norm(fit.motion.t)),
@@ -250,34 +272,20 @@ def _measured(matched: FixedMatches, fit: MotionFit, size: tuple[int, int]) -> C
     )
 
 
-def _verdict(
-    matched: FixedMatches, fit: MotionFit, motion: CameraMotion, has_changed: bool
-) -> tuple[Literal["still", "moved", "zoomed", "cannot say"], str]:
-    """The verdict on a motion, and its reason."""
-    assert motion.zoom is not None and motion.zoom_error_90 is not None
-    grown = motion.zoom - 1
-    is_zoomed = abs(grown) > _SIGNIFICANT * motion.zoom_error_90
-    worst = f"the worst place by {motion.worst_px:.1f} +- {motion.worst_error_90_px:.1f}"
-    zoomed = f"zoomed by {100 * grown:.2f} +- {100 * motion.zoom_error_90:.2f} %"
-    beside = f"{zoomed}; beside the zoom " if is_zoomed else ""
+class _Beside(NamedTuple):
+    """How far the picture moves beside a zoom."""
+
+    exceeds: bool  # its error, or no zoom explains the motion
+    bound_deg: float  # of most of the picture, its error included
+
+
+def _beside_zoom(matched: FixedMatches, fit: MotionFit) -> _Beside:
+    """How far the rotation and the shift move the picture."""
     moves, errors = _degrees(matched, fit, zooms=False)
-    angle, error, bound = (
-        quantile(values, fit.agree, _MOST) for values in (moves, errors, moves + errors)
-    )
-    everything = _degrees(matched, fit)
-    bound = min(bound, quantile(sum(everything), fit.agree, _MOST))
-    exceeds = _exceeds(fit, moves, errors) or not _exceeds(fit, *everything)
-    if has_changed and exceeds and bound >= STILL_DEG:
-        middle = f"{motion.middle_px:.1f} +- {motion.middle_error_90_px:.1f} px"
-        return "moved", ", ".join([f"the middle moves by {middle}", worst, *[zoomed] * is_zoomed])
-    if is_zoomed and abs(grown) >= ZOOMED:
-        return "zoomed", f"{beside}the picture moves by {angle:.3f} +- {error:.3f} deg"
-    if bound < STILL_DEG:
-        return "still", f"{beside}the picture moves by less than {bound + 5e-4:.3f} deg"
-    if has_changed and not is_zoomed:
-        worst = f"{motion.worst_px:.1f} +- {motion.worst_error_90_px:.1f} px"
-        return "cannot say", f"the worst place moves by {worst}, by a zoom or by a shift forward"
-    return "cannot say", f"{beside}the picture moves by {angle:.3f} +- {error:.3f} deg"
+    all_moves, all_errors = _degrees(matched, fit)
+    exceeds = _exceeds(fit, moves, errors) or not _exceeds(fit, all_moves, all_errors)
+    bound = quantile(moves + errors, fit.agree, _MOST)
+    return _Beside(exceeds, min(bound, quantile(all_moves + all_errors, fit.agree, _MOST)))
 
 
 def _decided(matched: FixedMatches) -> tuple[MotionFit, bool, str]:
@@ -337,6 +345,8 @@ def _moves(
     moves = np.linalg.norm(seen + slopes[..., SHIFT] @ motion.t - points, axis=1)
     if not zooms:
         slopes[..., ZOOM] = 0.0
+        if not motion.t.any():  # a shift forward without parallax counts as the zoom it looks like
+            slopes[..., FORWARD] = 0.0
     errors = NORMAL_90 * np.sqrt(np.einsum("nki,ij,nkj->n", slopes, fit.covariance, slopes))
     return np.nan_to_num(moves), np.nan_to_num(errors)
 
@@ -364,6 +374,5 @@ def _mirrored(matched: FixedMatches, fit: MotionFit) -> float:
 def _rays(matched: FixedMatches) -> tuple[np.ndarray, np.ndarray]:
     """Unit vectors (N, 3) of the matches in both pictures."""
     camera = matched.camera
-    return unit_rays(camera.normalise(matched.points1)), unit_rays(
-        camera.normalise(matched.points2)
-    )
+    rays1 = unit_rays(camera.normalise(matched.points1))
+    return rays1, unit_rays(camera.normalise(matched.points2))

@@ -26,7 +26,7 @@ from dgc_pose.estimation.least_squares import EFFICIENT, KEPT, block_jackknife, 
 from dgc_pose.geometry.epipolar import homogeneous
 
 NUMBER = 7  # of parameters: a rotation vector, radians; t; ln of the zoom; then those of the camera
-TURN, SHIFT, ZOOM = slice(0, 3), slice(3, 6), 6
+TURN, SHIFT, FORWARD, ZOOM = slice(0, 3), slice(3, 6), 5, 6
 _DEPTH_STD, _SHIFT_STD, _ZOOM_STD = 0.5, 0.1, 0.1  # standard deviations of rho; priors of t, zoom
 _NOISE = 0.16, 0.5  # bounds of the standard deviation of a match, over its expected error
 _INLIER, _OUTLIER = 3.6, 8.0  # largest errors, in standard deviations
@@ -76,8 +76,17 @@ class MotionFit:
     motion: Motion
     std: float  # standard deviation of a match, pixels
     agree: np.ndarray  # (N,), weights of the matches that agree, 0 for all others
+    covariance: np.ndarray  # (P, P) of the parameters
+
+
+@dataclass(frozen=True, eq=False)
+class _Minimum:
+    """A motion of least loss; as in `MotionFit`."""
+
+    motion: Motion
+    std: float
+    agree: np.ndarray
     loss: float  # minus the log-likelihood of the matches, up to a constant
-    covariance: np.ndarray | None = None  # (P, P) of the parameters
 
 
 def at_rest(camera: Camera, R: np.ndarray | None = None) -> Motion:
@@ -89,19 +98,17 @@ def at_rest(camera: Camera, R: np.ndarray | None = None) -> Motion:
 def fitted(matched: FixedMatches, starts: list[tuple[Motion, float]]) -> MotionFit:
     """The motion of least loss, with its covariance. starts: motions, with the first standard
     deviation of a match, pixels: the loss has several minima."""
-    best: MotionFit | None = None
+    best: _Minimum | None = None
     for fixed, gain in ((SHIFT, 0.0), (ZOOM, _GAIN_OF_SHIFT), (slice(0, 0), _GAIN_OF_BOTH)):
         tried = [_minimised(matched, motion, std, fixed) for motion, std in starts]
-        fit = min(tried, key=lambda fit: fit.loss)
-        if best is None or fit.loss + gain < best.loss:
-            best = fit
+        least = min(tried, key=lambda minimum: minimum.loss)
+        if best is None or least.loss + gain < best.loss:
+            best = least
     assert best is not None
-    return replace(best, covariance=_covariance(matched, best))
+    return MotionFit(best.motion, best.std, best.agree, _covariance(matched, best))
 
 
-def _minimised(
-    matched: FixedMatches, motion: Motion, std: float, fixed: slice | int
-) -> MotionFit:
+def _minimised(matched: FixedMatches, motion: Motion, std: float, fixed: slice | int) -> _Minimum:
     """Gauss-Newton steps from a motion. std: first standard deviation of a match, pixels; each step
     reduces it, down to that of the best quarter of the picture. fixed: parameters that stay."""
     least, most = np.multiply(_NOISE, matched.error_px)
@@ -128,7 +135,7 @@ def _minimised(
     errors, _, stds = _errors(matched, motion, std)
     inliers = (np.abs(errors) < _INLIER).all(1)
     loss = min(_loss(matched, errors, stds, share) for share in _SPREADS)
-    return MotionFit(motion, std, matched.weights * inliers, loss)
+    return _Minimum(motion, std, matched.weights * inliers, loss)
 
 
 def _loss(matched: FixedMatches, errors: np.ndarray, stds: np.ndarray, share: float) -> float:
@@ -148,7 +155,7 @@ def _prior(count: int) -> np.ndarray:
     return np.array([1e-6] * 3 + shift + [1 / _ZOOM_STD**2] + [1.0] * count)
 
 
-def _covariance(matched: FixedMatches, fit: MotionFit) -> np.ndarray:
+def _covariance(matched: FixedMatches, fit: _Minimum) -> np.ndarray:
     """The covariance (P, P) of all parameters, also of those that the fit leaves at 0."""
     errors, slopes, _ = _errors(matched, fit.motion, fit.std)
     inliers = (fit.agree > 0) if fit.agree.any() else np.ones(len(errors), bool)
@@ -198,9 +205,7 @@ def _errors(
     return errors, slopes, np.nan_to_num(stds, nan=std)
 
 
-def pictured(
-    points1: np.ndarray, camera: Camera, motion: Motion
-) -> tuple[np.ndarray, np.ndarray]:
+def pictured(points1: np.ndarray, camera: Camera, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
     """Where pixels (N, 2) of picture 1 are seen in picture 2 without parallax, pixels (N, 2); and
     the derivatives (N, 2, P) by the parameters, those by t at the median depth."""
     before, after = _cameras(camera, motion)
