@@ -53,6 +53,7 @@ _MIN_MATCHES, _COVERED = 50, 0.1  # the second is the least share of the picture
 _AGREE, _STAY, _NOTHING = 0.4, 0.15, 0.1
 _MAJORITY = 0.6  # a larger part that moves together may be the scene behind a still lens hood
 _MIRRORED = 0.3  # share of random triangles that are mirrored: real motions mirror up to 0.21
+_PARALLAX = 30.0  # a shift that lowers the loss by more is no zoom
 _STAYS = 3.0  # largest error of a match that stays, in standard deviations
 _LENS_STD = 0.15  # of the first radial coefficient, for a K without a lens
 # Random triples; their threshold; the first standard deviation of a match, over its expected error.
@@ -85,7 +86,7 @@ class CameraMotion:
         num_matches: Number of matches.
         num_inliers: Number of matches that agree with the motion.
         warnings: Sentences about what makes the result uncertain, for people.
-        seconds: Time spent on "load", "match" and "estimate".
+        seconds: Time spent on "load" (of the later picture), "match" and "estimate".
     """
 
     verdict: Literal["still", "moved", "zoomed", "cannot say"]
@@ -153,7 +154,6 @@ class FixedCamera:
         matcher: MatcherSource = None,
         details: KDetails = NO_DETAILS,
     ) -> None:
-        start = time.perf_counter()
         self.reference = load_image(reference, "reference")
         check_type(matcher, Matcher | str | Path | None, "matcher")
         check_type(details, KDetails, "details")
@@ -161,7 +161,6 @@ class FixedCamera:
         (self.camera,) = with_lines([stated], [self.reference])
         matcher = DEFAULT_WEIGHTS if matcher is None else matcher
         self._matcher = load_matcher(matcher) if isinstance(matcher, str | Path) else matcher
-        self._load_seconds = time.perf_counter() - start  # of the first motion
 
     def motion(self, now: ImageSource) -> CameraMotion:
         """The motion until a later picture, of the kinds and the size of the reference.
@@ -181,11 +180,10 @@ class FixedCamera:
         matched = time.perf_counter()
         motion = _motion(matches, opened(self.camera), picture.size)
         seconds = {
-            "load": self._load_seconds + loaded - start,
+            "load": loaded - start,
             "match": matched - loaded,
             "estimate": time.perf_counter() - matched,
         }
-        self._load_seconds = 0.0
         return replace(motion, warnings=self.camera.warnings, seconds=seconds)
 
 
@@ -199,18 +197,17 @@ def opened(camera: Camera) -> Camera:
 @one_blas_thread()
 def _motion(matches: Matches, camera: Camera, size: tuple[int, int]) -> CameraMotion:
     """The motion from the matches of two pictures. size: (width, height) of both."""
-    normalised = camera.normalise(matches.points1) + camera.normalise(matches.points2)
-    usable = np.isfinite(normalised).all(1)
-    number = int(usable.sum())
+    pixels = np.stack([matches.points1, matches.points2])
+    pixels = pixels[:, np.isfinite(pixels).all((0, 2))]
+    normalised = camera.normalise(pixels[0]) + camera.normalise(pixels[1])
+    points1, points2 = pixels[:, np.isfinite(normalised).all(1)]
+    number = len(points1)
     if number < _MIN_MATCHES:
         return CameraMotion("cannot say", f"only {number} matches", num_matches=number)
-    points1 = matches.points1[usable]
     cell = max(size) / _CELLS
     cells = np.floor(points1 / cell) @ (1, _CELLS + 1)
     _, index, count = np.unique(cells, return_inverse=True, return_counts=True)
-    matched = FixedMatches(
-        points1, matches.points2[usable], 1 / count[index], matches.error_px, camera
-    )
+    matched = FixedMatches(points1, points2, 1 / count[index], matches.error_px, camera)
     fit, has_changed, doubt = _decided(matched)
     share = fit.agree.sum() / len(count)
     covers = fit.agree.sum() * cell**2 / (size[0] * size[1])
@@ -275,7 +272,7 @@ def _measured(
 class _Beside(NamedTuple):
     """How far the picture moves beside a zoom."""
 
-    exceeds: bool  # its error, or no zoom explains the motion
+    exceeds: bool  # whether it exceeds its error, or no zoom explains the motion
     bound_deg: float  # of most of the picture, its error included
 
 
@@ -284,6 +281,7 @@ def _beside_zoom(matched: FixedMatches, fit: MotionFit) -> _Beside:
     moves, errors = _degrees(matched, fit, zooms=False)
     all_moves, all_errors = _degrees(matched, fit)
     exceeds = _exceeds(fit, moves, errors) or not _exceeds(fit, all_moves, all_errors)
+    exceeds |= fit.gain > _PARALLAX
     bound = quantile(moves + errors, fit.agree, _MOST)
     return _Beside(exceeds, min(bound, quantile(all_moves + all_errors, fit.agree, _MOST)))
 

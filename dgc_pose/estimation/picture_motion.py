@@ -15,6 +15,7 @@ shift replaces it if the matches show parallax.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import cv2
@@ -26,20 +27,23 @@ from dgc_pose.estimation.least_squares import EFFICIENT, KEPT, block_jackknife, 
 from dgc_pose.geometry.epipolar import homogeneous
 
 NUMBER = 7  # of parameters: a rotation vector, radians; t; ln of the zoom; then those of the camera
-TURN, SHIFT, FORWARD, ZOOM = slice(0, 3), slice(3, 6), 5, 6
+TURN, SHIFT, FORWARD, ZOOM = slice(0, 3), slice(3, 6), 5, 6  # FORWARD: along the optical axis
+_NOTHING = slice(0, 0)
 _DEPTH_STD, _SHIFT_STD, _ZOOM_STD = 0.5, 0.1, 0.1  # standard deviations of rho; priors of t, zoom
 _NOISE = 0.16, 0.5  # bounds of the standard deviation of a match, over its expected error
 _INLIER, _OUTLIER = 3.6, 8.0  # largest errors, in standard deviations
-_OUTLIER_LOSS = 4.0  # of a match that is an outlier
-_SPREADS = 0.3, 1.0  # of the depths, over the standard deviation of rho
-_STEPS, _CONVERGED = 20, 0.01  # the second of the loss and of the standard deviation
+_OUTLIER_LOSS = 4.0  # largest loss of a match: an outlier tells nothing of a motion
+_STEPS, _CONVERGED = 20, 0.01  # the second: of the loss, and of the standard deviation, relative
 _MOST_Z = 4.0  # standard deviations by which a camera may deviate
 _SLOPE_STEP = 1e-4
-# Chosen on simulated pairs of other scenes than those of the documentation.
+# Spreads of the depths over `_DEPTH_STD`: the loss is that of the likeliest.
+_SPREADS = 0.2, 0.35, 0.6, 1.0
+# Chosen on simulated pairs, of other scenes than those of the documentation: a factor on all errors;
+# by how much a fit with a shift, and one with a shift and a zoom, must lower the loss; the number of
+# matches whose parallax a shift cannot hide; the standard deviation of ln |t| by seen parallax.
 _ERROR_SCALE = 1.15
 _GAIN_OF_SHIFT, _GAIN_OF_BOTH = 6.0, 8.0
-_HIDDEN = 5.0  # independent matches that show the parallax of a shift
-_SPREAD_STD = 0.6  # of ln |t| by the spread of the parallax
+_HIDDEN, _SPREAD_STD = 5.0, 0.6
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +81,7 @@ class MotionFit:
     std: float  # standard deviation of a match, pixels
     agree: np.ndarray  # (N,), weights of the matches that agree, 0 for all others
     covariance: np.ndarray  # (P, P) of the parameters
+    gain: float  # by how much the shift lowers the loss; 0 for a motion without a shift
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,16 +101,24 @@ def at_rest(camera: Camera, R: np.ndarray | None = None) -> Motion:
 
 
 def fitted(matched: FixedMatches, starts: list[tuple[Motion, float]]) -> MotionFit:
-    """The motion of least loss, with its covariance. starts: motions, with the first standard
+    """The motion of least loss, with its covariance: by a rotation and a zoom, or with a shift, or
+    with all, if this lowers the loss enough. starts: motions, each with the first standard
     deviation of a match, pixels: the loss has several minima."""
-    best: _Minimum | None = None
-    for fixed, gain in ((SHIFT, 0.0), (ZOOM, _GAIN_OF_SHIFT), (slice(0, 0), _GAIN_OF_BOTH)):
-        tried = [_minimised(matched, motion, std, fixed) for motion, std in starts]
-        least = min(tried, key=lambda minimum: minimum.loss)
-        if best is None or least.loss + gain < best.loss:
-            best = least
-    assert best is not None
-    return MotionFit(best.motion, best.std, best.agree, _covariance(matched, best))
+    minima = [
+        min(
+            (_minimised(matched, motion, std, fixed) for motion, std in starts),
+            key=lambda minimum: minimum.loss,
+        )
+        for fixed in (SHIFT, ZOOM, _NOTHING)
+    ]
+    unshifted, shifted, both = minima
+    best = unshifted
+    if shifted.loss + _GAIN_OF_SHIFT < best.loss:
+        best = shifted
+    if both.loss + _GAIN_OF_BOTH < best.loss:
+        best = both
+    covariance = _covariance(matched, best)
+    return MotionFit(best.motion, best.std, best.agree, covariance, unshifted.loss - best.loss)
 
 
 def _minimised(matched: FixedMatches, motion: Motion, std: float, fixed: slice | int) -> _Minimum:
@@ -142,7 +155,8 @@ def _loss(matched: FixedMatches, errors: np.ndarray, stds: np.ndarray, share: fl
     """The loss of a motion. errors, stds: from `_errors`. share: of the assumed spread of the
     depths."""
     noise = stds[:, 1]
-    along = np.hypot(noise, share * np.sqrt(stds[:, 0] ** 2 - noise**2))
+    spread = np.sqrt(np.maximum(stds[:, 0] ** 2 - noise**2, 0))
+    along = np.hypot(noise, share * spread)
     scaled = errors * np.column_stack([stds[:, 0] / along, np.ones_like(along)])
     losses = EFFICIENT**2 / 2 * np.log1p(np.square(scaled / EFFICIENT)).sum(1)
     losses += np.log(along * noise / matched.error_px**2)
@@ -212,16 +226,16 @@ def pictured(points1: np.ndarray, camera: Camera, motion: Motion) -> tuple[np.nd
     turned = _turned(before.normalise(points1), motion.R)
     seen = after.project(turned)
     x, y = turned.T
-    of_x = np.stack([-x * y, 1 + x * x, -y, 1 + 0 * x, 0 * x, -x], -1)
-    of_y = np.stack([-1 - y * y, x * y, x, 0 * y, 1 + 0 * y, -y], -1)
+    along_x = np.stack([-x * y, 1 + x * x, -y, 1 + 0 * x, 0 * x, -x], -1)
+    along_y = np.stack([-1 - y * y, x * y, x, 0 * y, 1 + 0 * y, -y], -1)
     ahead = [after.project(turned + axis) - seen for axis in _SLOPE_STEP * np.eye(2)]
     by_turned = np.stack(ahead, axis=2) / _SLOPE_STEP
     slopes = np.zeros((len(points1), 2, NUMBER + len(motion.z)))
-    slopes[..., :ZOOM] = by_turned @ np.stack([of_x, of_y], 1)
+    slopes[..., :ZOOM] = by_turned @ np.stack([along_x, along_y], 1)
     slopes[..., ZOOM] = seen - after.K[:2, 2]
     for number, axis in enumerate(_SLOPE_STEP * np.eye(len(motion.z))):
-        before, after = _cameras(camera, replace(motion, z=motion.z + axis))
-        other = after.project(_turned(before.normalise(points1), motion.R))
+        first, second = _cameras(camera, replace(motion, z=motion.z + axis))
+        other = second.project(_turned(first.normalise(points1), motion.R))
         slopes[..., NUMBER + number] = (other - seen) / _SLOPE_STEP
     return seen, slopes
 
@@ -232,7 +246,7 @@ def _cameras(camera: Camera, motion: Motion) -> tuple[Camera, Camera]:
     parameters = np.zeros(len(stds))
     parameters[stds > 0] = stds[stds > 0] * motion.z
     before = with_parameters(camera, parameters)
-    return before, before.with_focal(before.focal * np.exp(motion.log_zoom))
+    return before, before.with_focal(before.focal * math.exp(motion.log_zoom))
 
 
 def _turned(normalised: np.ndarray, R: np.ndarray) -> np.ndarray:
