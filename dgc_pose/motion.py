@@ -64,8 +64,9 @@ _SAMPLES, _LOOSE, _WIDE = 200, 0.02, 8.0
 class CameraMotion:
     """The motion of a camera since the reference picture.
 
-    Nine in ten errors stay below the stated ones. How far the picture moves holds for points at the
-    median depth of the matched scene.
+    Nine in ten errors stay below the stated ones, if the scene has depth: before a flat wall, a
+    shift is told as a rotation or a zoom. How far the picture moves holds for points at the median
+    depth of the matched scene.
 
     Attributes:
         verdict: "still": beside a zoom below 2 %, the picture moves by less than 0.05 degrees.
@@ -242,10 +243,9 @@ def _measured(
         zoomed = f"zoomed by {100 * zoom:.2f} +- {100 * zoom_error:.2f} %"
     beside = _beside_zoom(matched, fit)
     verdict: Literal["still", "moved", "zoomed", "cannot say"] = "cannot say"
-    reason = how_far
+    reason = f"{how_far}, {zoomed}" if zoomed else how_far
     if has_changed and beside.exceeds and beside.bound_deg >= STILL_DEG:
         verdict = "moved"
-        reason = f"{how_far}, {zoomed}" if zoomed else how_far
     elif zoomed and abs(zoom) >= ZOOMED:
         verdict = "zoomed"
         reason = f"{zoomed}, {how_far}"
@@ -253,6 +253,8 @@ def _measured(
         verdict = "still"
         less = f"the picture moves by less than {beside.bound_deg + 5e-4:.3f} deg"
         reason = f"{zoomed}; beside the zoom {less}" if zoomed else less
+    elif has_changed:
+        reason = f"{reason}, by the camera or by a zoom"
     return CameraMotion(
         verdict,
         reason,

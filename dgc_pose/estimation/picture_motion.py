@@ -38,9 +38,9 @@ _MOST_Z = 4.0  # standard deviations by which a camera may deviate
 _SLOPE_STEP = 1e-4
 # Spreads of the depths over `_DEPTH_STD`: the loss is that of the likeliest.
 _SPREADS = 0.2, 0.35, 0.6, 1.0
-# Chosen on simulated pairs, of other scenes than those of the documentation: a factor on all errors;
-# by how much a fit with a shift, and one with a shift and a zoom, must lower the loss; the number of
-# matches whose parallax a shift cannot hide; the standard deviation of ln |t| by seen parallax.
+# Chosen on simulated pairs of other scenes than those of the documentation: a factor on all errors;
+# by how much a fit with a shift, and one with a shift and a zoom, must lower the loss; the number
+# of matches whose parallax a shift cannot hide; the deviation of ln |t| by the parallax seen.
 _ERROR_SCALE = 1.15
 _GAIN_OF_SHIFT, _GAIN_OF_BOTH = 6.0, 8.0
 _HIDDEN, _SPREAD_STD = 5.0, 0.6
