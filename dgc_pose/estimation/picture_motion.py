@@ -16,7 +16,7 @@ shift replaces it if the matches show parallax.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -222,31 +222,36 @@ def _errors(
 def pictured(points1: np.ndarray, camera: Camera, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
     """Where pixels (N, 2) of picture 1 are seen in picture 2 without parallax, pixels (N, 2); and
     the derivatives (N, 2, P) by the parameters, those by t at the median depth."""
-    before, after = _cameras(camera, motion)
-    turned = _turned(before.normalise(points1), motion.R)
-    seen = after.project(turned)
+    changed = _changed(camera, motion.z)
+    turned = _turned(changed.normalise(points1), motion.R)
+    seen = _zoomed(changed, turned, motion)
     x, y = turned.T
     along_x = np.stack([-x * y, 1 + x * x, -y, 1 + 0 * x, 0 * x, -x], -1)
     along_y = np.stack([-1 - y * y, x * y, x, 0 * y, 1 + 0 * y, -y], -1)
-    ahead = [after.project(turned + axis) - seen for axis in _SLOPE_STEP * np.eye(2)]
+    ahead = [_zoomed(changed, turned + axis, motion) - seen for axis in _SLOPE_STEP * np.eye(2)]
     by_turned = np.stack(ahead, axis=2) / _SLOPE_STEP
     slopes = np.zeros((len(points1), 2, NUMBER + len(motion.z)))
     slopes[..., :ZOOM] = by_turned @ np.stack([along_x, along_y], 1)
-    slopes[..., ZOOM] = seen - after.K[:2, 2]
+    slopes[..., ZOOM] = seen - changed.K[:2, 2]
     for number, axis in enumerate(_SLOPE_STEP * np.eye(len(motion.z))):
-        first, second = _cameras(camera, replace(motion, z=motion.z + axis))
-        other = second.project(_turned(first.normalise(points1), motion.R))
-        slopes[..., NUMBER + number] = (other - seen) / _SLOPE_STEP
+        other = _changed(camera, motion.z + axis)
+        moved = _zoomed(other, _turned(other.normalise(points1), motion.R), motion)
+        slopes[..., NUMBER + number] = (moved - seen) / _SLOPE_STEP
     return seen, slopes
 
 
-def _cameras(camera: Camera, motion: Motion) -> tuple[Camera, Camera]:
-    """The camera of each picture."""
+def _changed(camera: Camera, z: np.ndarray) -> Camera:
+    """The camera with deviations (M,)."""
     stds = np.array(parameter_stds(camera))
     parameters = np.zeros(len(stds))
-    parameters[stds > 0] = stds[stds > 0] * motion.z
-    before = with_parameters(camera, parameters)
-    return before, before.with_focal(before.focal * math.exp(motion.log_zoom))
+    parameters[stds > 0] = stds[stds > 0] * z
+    return with_parameters(camera, parameters)
+
+
+def _zoomed(camera: Camera, normalised: np.ndarray, motion: Motion) -> np.ndarray:
+    """Where normalised points (N, 2) are seen after the zoom of a motion, pixels (N, 2)."""
+    centre = camera.K[:2, 2]
+    return centre + math.exp(motion.log_zoom) * (camera.project(normalised) - centre)
 
 
 def _turned(normalised: np.ndarray, R: np.ndarray) -> np.ndarray:
