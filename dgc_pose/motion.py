@@ -18,6 +18,7 @@ from dgc_pose.cameras.prior import with_lines
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation.covariance import NORMAL_90
 from dgc_pose.estimation.picture_motion import (
+    FAR_MORE,
     FORWARD,
     SHIFT,
     TURN,
@@ -51,9 +52,11 @@ _MIN_MATCHES, _COVERED = 50, 0.1  # the second is the least share of the picture
 # Shares of the matched cells: the least that agree on a motion; the least that stay although the
 # motion would move them, so only objects moved; the most that stay if the camera moved.
 _AGREE, _STAY, _NOTHING = 0.4, 0.15, 0.1
-_MAJORITY = 0.6  # a larger part that moves together may be the scene behind a still lens hood
+# A larger part that moves together, or one far larger than the part that stays, may be the scene
+# behind a still lens hood.
+_MAJORITY = 0.6
 _MIRRORED = 0.3  # share of random triangles that are mirrored: real motions mirror up to 0.21
-_PARALLAX = 30.0  # a shift that lowers the loss by more is no zoom
+_PARALLAX = 25.0  # a shift that lowers the loss by more is no zoom
 _STAYS = 3.0  # largest error of a match that stays, in standard deviations
 _LENS_STD = 0.15  # of the first radial coefficient, for a K without a lens
 # Random triples; their threshold; the first standard deviation of a match, over its expected error.
@@ -304,7 +307,8 @@ def _decided(matched: FixedMatches) -> tuple[MotionFit, bool, str]:
     has_changed = _exceeds(fit, moves, errors)
     has_changed |= quantile(moves, fit.agree, _MOST) > STILL_DEG and bool(stays < _NOTHING)
     share = fit.agree.sum() / weights.sum()
-    if has_changed and stays_against > _STAY and share > _MAJORITY:
+    is_most = share > min(_MAJORITY, FAR_MORE * stays_against)
+    if has_changed and stays_against > _STAY and is_most:
         angle = quantile(moves, fit.agree, _MOST)
         both = f"moves by {angle:.3g} deg, and {100 * stays_against:.0f} % stays"
         return fit, has_changed, f"{100 * share:.0f} % of the matched picture {both}"

@@ -160,6 +160,14 @@ def test_a_camera_before_which_an_object_moves_is_still(part, step) -> None:
         assert motion.shift < motion.shift_error_90
 
 
+@pytest.mark.parametrize("turn_deg", [NONE, (0.0, 1.0, 0.0)])
+@pytest.mark.parametrize("shift", [(0.0086, -0.0112, -0.0134), (0.02, 0.0, 0.0)])
+def test_a_lens_hood_that_stays_does_not_make_a_camera_still(turn_deg, shift) -> None:
+    for part in (0.2, 0.3):
+        motion = seen(turn_deg, shift, k1=-0.2, part=part, step=(0.0, 0.0))
+        assert motion.verdict in ("moved", "cannot say")
+
+
 @pytest.mark.parametrize("chance", [0.25, 0.4, 0.5])
 def test_random_matches_do_not_make_a_motion_a_mirror_image(chance) -> None:
     """Half of the triangles of random matches are mirrored."""

@@ -33,6 +33,7 @@ _DEPTH_STD, _SHIFT_STD, _ZOOM_STD = 0.5, 0.1, 0.1  # standard deviations of rho;
 _NOISE = 0.16, 0.5  # bounds of the standard deviation of a match, over its expected error
 _INLIER, _OUTLIER = 3.6, 8.0  # largest errors, in standard deviations
 _OUTLIER_LOSS = 4.0  # largest loss of a match: an outlier tells nothing of a motion
+FAR_MORE = 1.5  # times the part of the picture that agrees
 _STEPS, _CONVERGED = 20, 0.01  # the second: of the loss, and of the standard deviation, relative
 _MOST_Z = 4.0  # standard deviations by which a camera may deviate
 _SLOPE_STEP = 1e-4
@@ -42,7 +43,7 @@ _SPREADS = 0.2, 0.35, 0.6, 1.0
 # by how much a fit with a shift, and one with a shift and a zoom, must lower the loss; the number
 # of matches whose parallax a shift cannot hide; the deviation of ln |t| by the parallax seen.
 _ERROR_SCALE = 1.15
-_GAIN_OF_SHIFT, _GAIN_OF_BOTH = 6.0, 8.0
+_COST_OF_SHIFT, _COST_OF_BOTH = 6.0, 14.0
 _HIDDEN, _SPREAD_STD = 5.0, 0.6
 
 
@@ -104,26 +105,35 @@ def fitted(matched: FixedMatches, starts: list[tuple[Motion, float]]) -> MotionF
     """The motion of least loss, with its covariance: by a rotation and a zoom, or with a shift, or
     with all, if this lowers the loss enough. starts: motions, each with the first standard
     deviation of a match, pixels: the loss has several minima."""
-    minima = [
-        min(
-            (_minimised(matched, motion, std, fixed) for motion, std in starts),
-            key=lambda minimum: minimum.loss,
-        )
-        for fixed in (SHIFT, ZOOM, _NOTHING)
-    ]
-    unshifted, shifted, both = minima
-    best = unshifted
-    if shifted.loss + _GAIN_OF_SHIFT < best.loss:
-        best = shifted
-    if both.loss + _GAIN_OF_BOTH < best.loss:
-        best = both
+    best: _Minimum | None = None
+    unshifted = math.inf
+    for fixed, cost in ((SHIFT, 0.0), (ZOOM, _COST_OF_SHIFT), (_NOTHING, _COST_OF_BOTH)):
+        for motion, std in starts:
+            other = _minimised(matched, motion, std, fixed, cost)
+            if fixed == SHIFT:
+                unshifted = min(unshifted, other.loss)
+            if best is None or _is_better(other, best):
+                best = other
+    assert best is not None
     covariance = _covariance(matched, best)
-    return MotionFit(best.motion, best.std, best.agree, covariance, unshifted.loss - best.loss)
+    return MotionFit(best.motion, best.std, best.agree, covariance, unshifted - best.loss)
 
 
-def _minimised(matched: FixedMatches, motion: Motion, std: float, fixed: slice | int) -> _Minimum:
+def _is_better(other: _Minimum, best: _Minimum) -> bool:
+    """Whether a minimum agrees with far more of the picture than another, or has the lower loss and
+    does not agree with far less."""
+    share, best_share = other.agree.sum(), best.agree.sum()
+    if share > FAR_MORE * best_share:
+        return True
+    return other.loss < best.loss and best_share <= FAR_MORE * share
+
+
+def _minimised(
+    matched: FixedMatches, motion: Motion, std: float, fixed: slice | int, cost: float
+) -> _Minimum:
     """Gauss-Newton steps from a motion. std: first standard deviation of a match, pixels; each step
-    reduces it, down to that of the best quarter of the picture. fixed: parameters that stay."""
+    reduces it, down to that of the best quarter of the picture. fixed: parameters that stay. cost:
+    of the others, added to the loss."""
     least, most = np.multiply(_NOISE, matched.error_px)
     std = max(std, most)
     prior = _prior(len(motion.z))
@@ -148,7 +158,7 @@ def _minimised(matched: FixedMatches, motion: Motion, std: float, fixed: slice |
     errors, _, stds = _errors(matched, motion, std)
     inliers = (np.abs(errors) < _INLIER).all(1)
     loss = min(_loss(matched, errors, stds, share) for share in _SPREADS)
-    return _Minimum(motion, std, matched.weights * inliers, loss)
+    return _Minimum(motion, std, matched.weights * inliers, cost + loss)
 
 
 def _loss(matched: FixedMatches, errors: np.ndarray, stds: np.ndarray, share: float) -> float:
