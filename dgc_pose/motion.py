@@ -24,9 +24,11 @@ from dgc_pose.estimation.picture_motion import (
     TURN,
     ZOOM,
     FixedMatches,
+    Minimum,
     MotionFit,
     at_rest,
     fitted,
+    how_far_px,
     pictured,
     quantile,
 )
@@ -302,20 +304,37 @@ def _decided(matched: FixedMatches) -> tuple[MotionFit, bool, str]:
     fit = fitted(matched, [(rest, 0.0), (rest, wide), (common, wide)])
     moves, errors = _degrees(matched, fit)
     stay = _stay(matched, fit)
-    against = stay & (moves > 2 * _STAYS * math.degrees(fit.std / matched.camera.focal))
-    stays, stays_against = np.array([stay, against]) @ weights / weights.sum()
+    stays = float(weights @ stay / weights.sum())
+    against = _against(matched, fit, stay)
     has_changed = _exceeds(fit, moves, errors)
-    has_changed |= quantile(moves, fit.agree, _MOST) > STILL_DEG and bool(stays < _NOTHING)
-    share = fit.agree.sum() / weights.sum()
-    is_most = share > min(_MAJORITY, FAR_MORE * stays_against)
-    if has_changed and stays_against > _STAY and is_most:
-        angle = quantile(moves, fit.agree, _MOST)
-        both = f"moves by {angle:.3g} deg, and {100 * stays_against:.0f} % stays"
-        return fit, has_changed, f"{100 * share:.0f} % of the matched picture {both}"
-    if stays_against > _STAY if has_changed else stays > _AGREE:
+    has_changed |= quantile(moves, fit.agree, _MOST) > STILL_DEG and stays < _NOTHING
+    doubt = _hood(matched, fit, stay) if has_changed else ""
+    doubt = doubt or _hood(matched, fit.widest, stay)
+    if doubt:
+        return fit, has_changed, doubt
+    if against > _STAY if has_changed else stays > _AGREE:
         staying = replace(matched, weights=weights * stay)
         return fitted(staying, [(rest, 0.0)]), False, ""
     return fit, has_changed, ""
+
+
+def _against(matched: FixedMatches, minimum: Minimum, stay: np.ndarray) -> float:
+    """The share of the matched picture that stays (N,) although a motion would move it."""
+    moves = how_far_px(minimum.motion, matched.points1, matched.camera)
+    against = stay & (moves > 2 * _STAYS * minimum.std)
+    return float(matched.weights @ against / matched.weights.sum())
+
+
+def _hood(matched: FixedMatches, minimum: Minimum, stay: np.ndarray) -> str:
+    """Why a camera may have moved behind a lens hood that stays (N,), or ""."""
+    against = _against(matched, minimum, stay)
+    share = float(minimum.agree.sum() / matched.weights.sum())
+    if against <= _STAY or share <= min(_MAJORITY, FAR_MORE * against):
+        return ""
+    moves = how_far_px(minimum.motion, matched.points1, matched.camera)
+    angle = math.degrees(quantile(moves, minimum.agree, _MOST) / matched.camera.focal)
+    both = f"moves by {angle:.3g} deg, and {100 * against:.0f} % stays"
+    return f"{100 * share:.0f} % of the matched picture {both}"
 
 
 def _exceeds(fit: MotionFit, moves: np.ndarray, errors: np.ndarray) -> bool:
@@ -345,14 +364,13 @@ def _moves(
     errors in nine cases of ten (N,), pixels; without `zooms` by the rotation and the shift alone.
     """
     motion = fit.motion if zooms else replace(fit.motion, log_zoom=0.0)
-    seen, slopes = pictured(points, camera, motion)
-    moves = np.linalg.norm(seen + slopes[..., SHIFT] @ motion.t - points, axis=1)
+    _, slopes = pictured(points, camera, motion)
     if not zooms:
         slopes[..., ZOOM] = 0.0
         if not motion.t.any():  # a shift forward without parallax counts as the zoom it looks like
             slopes[..., FORWARD] = 0.0
     errors = NORMAL_90 * np.sqrt(np.einsum("nki,ij,nkj->n", slopes, fit.covariance, slopes))
-    return np.nan_to_num(moves), np.nan_to_num(errors)
+    return how_far_px(motion, points, camera), np.nan_to_num(errors)
 
 
 def _common_rotation(matched: FixedMatches) -> np.ndarray:

@@ -75,24 +75,22 @@ class Motion:
 
 
 @dataclass(frozen=True, eq=False)
-class MotionFit:
-    """A motion, and its values at N matches."""
+class Minimum:
+    """A motion of least loss, and its values at N matches."""
 
     motion: Motion
     std: float  # standard deviation of a match, pixels
     agree: np.ndarray  # (N,), weights of the matches that agree, 0 for all others
-    covariance: np.ndarray  # (P, P) of the parameters
-    gain: float  # by how much the shift lowers the loss; 0 for a motion without a shift
+    loss: float  # minus the log-likelihood of the matches, up to a constant
 
 
 @dataclass(frozen=True, eq=False)
-class _Minimum:
-    """A motion of least loss; as in `MotionFit`."""
+class MotionFit(Minimum):
+    """The best of several minima."""
 
-    motion: Motion
-    std: float
-    agree: np.ndarray
-    loss: float  # minus the log-likelihood of the matches, up to a constant
+    covariance: np.ndarray  # (P, P) of the parameters
+    gain: float  # by how much the shift lowers the loss; 0 for a motion without a shift
+    widest: Minimum  # the one that most of the picture agrees with
 
 
 def at_rest(camera: Camera, R: np.ndarray | None = None) -> Motion:
@@ -105,21 +103,26 @@ def fitted(matched: FixedMatches, starts: list[tuple[Motion, float]]) -> MotionF
     """The motion of least loss, with its covariance: by a rotation and a zoom, or with a shift, or
     with all, if this lowers the loss enough. starts: motions, each with the first standard
     deviation of a match, pixels: the loss has several minima."""
-    best: _Minimum | None = None
-    unshifted = math.inf
-    for fixed, cost in ((SHIFT, 0.0), (ZOOM, _COST_OF_SHIFT), (_NOTHING, _COST_OF_BOTH)):
-        for motion, std in starts:
-            other = _minimised(matched, motion, std, fixed, cost)
-            if fixed == SHIFT:
-                unshifted = min(unshifted, other.loss)
-            if best is None or _is_better(other, best):
-                best = other
-    assert best is not None
-    covariance = _covariance(matched, best)
-    return MotionFit(best.motion, best.std, best.agree, covariance, unshifted - best.loss)
+    unshifted = [_minimised(matched, *start, SHIFT, 0.0) for start in starts]
+    shifted = [_minimised(matched, *start, ZOOM, _COST_OF_SHIFT) for start in starts]
+    both = [_minimised(matched, *start, _NOTHING, _COST_OF_BOTH) for start in starts]
+    minima = [*unshifted, *shifted, *both]
+    best = minima[0]
+    for other in minima[1:]:
+        if _is_better(other, best):
+            best = other
+    return MotionFit(
+        best.motion,
+        best.std,
+        best.agree,
+        best.loss,
+        covariance=_covariance(matched, best),
+        gain=min(minimum.loss for minimum in unshifted) - best.loss,
+        widest=max(minima, key=lambda minimum: minimum.agree.sum()),
+    )
 
 
-def _is_better(other: _Minimum, best: _Minimum) -> bool:
+def _is_better(other: Minimum, best: Minimum) -> bool:
     """Whether a minimum agrees with far more of the picture than another, or has the lower loss and
     does not agree with far less."""
     share, best_share = other.agree.sum(), best.agree.sum()
@@ -130,7 +133,7 @@ def _is_better(other: _Minimum, best: _Minimum) -> bool:
 
 def _minimised(
     matched: FixedMatches, motion: Motion, std: float, fixed: slice | int, cost: float
-) -> _Minimum:
+) -> Minimum:
     """Gauss-Newton steps from a motion. std: first standard deviation of a match, pixels; each step
     reduces it, down to that of the best quarter of the picture. fixed: parameters that stay. cost:
     of the others, added to the loss."""
@@ -158,7 +161,7 @@ def _minimised(
     errors, _, stds = _errors(matched, motion, std)
     inliers = (np.abs(errors) < _INLIER).all(1)
     loss = min(_loss(matched, errors, stds, share) for share in _SPREADS)
-    return _Minimum(motion, std, matched.weights * inliers, cost + loss)
+    return Minimum(motion, std, matched.weights * inliers, cost + loss)
 
 
 def _loss(matched: FixedMatches, errors: np.ndarray, stds: np.ndarray, share: float) -> float:
@@ -179,7 +182,7 @@ def _prior(count: int) -> np.ndarray:
     return np.array([1e-6] * 3 + shift + [1 / _ZOOM_STD**2] + [1.0] * count)
 
 
-def _covariance(matched: FixedMatches, fit: _Minimum) -> np.ndarray:
+def _covariance(matched: FixedMatches, fit: Minimum) -> np.ndarray:
     """The covariance (P, P) of all parameters, also of those that the fit leaves at 0."""
     errors, slopes, _ = _errors(matched, fit.motion, fit.std)
     inliers = (fit.agree > 0) if fit.agree.any() else np.ones(len(errors), bool)
@@ -248,6 +251,13 @@ def pictured(points1: np.ndarray, camera: Camera, motion: Motion) -> tuple[np.nd
         moved = _zoomed(other, _turned(other.normalise(points1), motion.R), motion)
         slopes[..., NUMBER + number] = (moved - seen) / _SLOPE_STEP
     return seen, slopes
+
+
+def how_far_px(motion: Motion, points: np.ndarray, camera: Camera) -> np.ndarray:
+    """How far points of the picture (N, 2) move at the median depth, pixels (N,)."""
+    seen, slopes = pictured(points, camera, motion)
+    moves = np.linalg.norm(seen + slopes[..., SHIFT] @ motion.t - points, axis=1)
+    return np.nan_to_num(moves)
 
 
 def _changed(camera: Camera, z: np.ndarray) -> Camera:
