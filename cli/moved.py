@@ -22,6 +22,17 @@ if TYPE_CHECKING:
     from dgc_pose.motion import CameraMotion
 
 MOVED, CANNOT_SAY = 1, 3  # exit codes
+PERCENT = 100.0
+CHANGED = {"moved", "zoomed"}  # verdicts
+_COLUMNS = (
+    "picture",
+    "verdict",
+    "middle (px)",
+    "worst (px)",
+    "zoom (%)",
+    "angle (deg)",
+    "shift (% of depth)",
+)
 
 
 @dataclass(frozen=True)
@@ -46,39 +57,37 @@ def moved(
     """Tell whether a fixed camera has moved since the picture REFERENCE.
 
     NOW are later pictures of the same camera: files, folders, or videos. Prints for each picture
-    the verdict, the angle of the rotation, and the shift over the median depth of the scene. Errors
-    after +- hold in nine cases of ten. A picture that moves by less than 0.05 degrees is `still`.
-    Without --K, the focal length is assumed.
+    the verdict; how far the picture moves at its middle and at its worst place; the zoom; the angle
+    of the rotation, and the shift over the median depth of the scene. Errors after +- hold in nine
+    cases of ten. A picture that moves by less than 0.05 degrees is `still`, also if it is larger or
+    smaller by less than 2 %, as by a focus that breathes; from 2 % on it is `zoomed`. Without --K,
+    the focal length is assumed.
 
-    Exits with 0 if all pictures are still, 1 if one has moved, 3 if none has moved and one verdict
-    is `cannot say`. A picture that cannot be read is named and has the verdict `cannot say`; if
-    none can be read, exits with 2. An unexpected error also exits with 1; its line begins with
-    error.
+    Exits with 0 if all pictures are still, 1 if one has moved or zoomed, 3 if none has and one
+    verdict is `cannot say`. A picture that cannot be read is named and has the verdict `cannot
+    say`; if none can be read, exits with 2. An unexpected error also exits with 1; its line begins
+    with error.
     """
-    from dgc_pose.cameras.calibration import image_camera
-    from dgc_pose.cameras.prior import with_lines
+    from dgc_pose.cameras.calibration import read_calibration
     from dgc_pose.images.image import load_image, require_matchable
-    from dgc_pose.motion import CameraMotion, camera_motion
+    from dgc_pose.motion import CameraMotion, FixedCamera
 
     json_file = None if watch.json == STDOUT else watch.json
     motions: dict[str, CameraMotion] = {}
     with staged(json_file) as stage, scratch_folder() as scratch, progress_bars() as progress:
+        read_calibration(cameras.k or "auto", "--K", cameras.details)  # an error names the option
         first = load_image(reference)
         require_matchable(first)
-        stated = image_camera(cameras.k, first, "--K", cameras.details)
-        (camera,) = with_lines([stated], [first])
+        fixed = FixedCamera(first, cameras.k, matcher=matcher.load(), details=cameras.details)
         pictures: dict[str, Path | str] = {}
         bad: dict[str, str] = {}
         for number, source in enumerate(now):
             pictures |= _pictures(source, watch.frames, scratch / str(number))
-        loaded = matcher.load()
         for name, file in pictures.items():
             try:
                 if isinstance(file, str):
                     raise ImageError(file)
-                picture = replace(load_image(file), name=name)
-                motions[name] = camera_motion(first, picture, camera, matcher=loaded)
-                loaded.cache.forget(picture)
+                motions[name] = fixed.motion(replace(load_image(file), name=name))
             except ImageError as error:  # go on with the other pictures
                 bad[name] = str(error)
                 motions[name] = CameraMotion("cannot say", bad[name])
@@ -91,12 +100,14 @@ def moved(
     if watch.json == STDOUT:
         click.echo(data, nl=False)
     name_bad_images(bad, pictures)
-    for warning in camera.warnings:
+    for warning in fixed.camera.warnings:
         to_stderr(f"warning: {warning}")
     if watch.json != STDOUT:
         click.echo(motions_text(motions))
     verdicts = {motion.verdict for motion in motions.values()}
-    return MOVED if "moved" in verdicts else CANNOT_SAY if "cannot say" in verdicts else 0
+    if verdicts & CHANGED:
+        return MOVED
+    return CANNOT_SAY if "cannot say" in verdicts else 0
 
 
 def _pictures(source: str, frames: int, folder: Path) -> dict[str, Path | str]:
@@ -123,20 +134,30 @@ def _pictures(source: str, frames: int, folder: Path) -> dict[str, Path | str]:
 
 
 def motions_text(motions: dict[str, CameraMotion]) -> str:
-    """A table of the motions for people, and the first picture that has moved."""
-    rows = [("picture", "verdict", "angle (deg)", "shift (% of depth)")]
-    for name, of in motions.items():
-        angle = shift = "-"
-        if of.angle_deg is not None:
-            angle = f"{of.angle_deg:.3f} +- {of.angle_error_90_deg:.3f}"
-            shift = f"{100 * (of.shift or 0):.2f} +- {100 * (of.shift_error_90 or 0):.2f}"
-        rows.append((printable(name), of.verdict, angle, shift))
-    reasons = ["", *(of.reason for of in motions.values())]
+    """A table of the motions for people, and the first picture that has moved or zoomed."""
+    rows = [tuple(_COLUMNS)]
+    for name, motion in motions.items():
+        cells = (
+            _cell(motion.middle_px, motion.middle_error_90_px, 2),
+            _cell(motion.worst_px, motion.worst_error_90_px, 2),
+            _cell(motion.zoom, motion.zoom_error_90, 2, PERCENT),
+            _cell(motion.angle_deg, motion.angle_error_90_deg, 3),
+            _cell(motion.shift, motion.shift_error_90, 2, PERCENT),
+        )
+        rows.append((printable(name), motion.verdict, *cells))
+    reasons = ["", *(motion.reason for motion in motions.values())]
     lines = map("{}  {}".format, aligned(rows).splitlines(), reasons)
-    first = next((name for name, of in motions.items() if of.verdict == "moved"), None)
-    unsure = sum(of.verdict == "cannot say" for of in motions.values())
-    if first is not None:
-        last = f"the first that has moved: {printable(first)}"
-    else:
-        last = f"no verdict on {unsure} of {len(motions)}" if unsure else "none has moved"
+    unsure = sum(motion.verdict == "cannot say" for motion in motions.values())
+    last = f"no verdict on {unsure} of {len(motions)}" if unsure else "none has moved"
+    for name, motion in motions.items():
+        if motion.verdict in CHANGED:
+            last = f"the first that has {motion.verdict}: {printable(name)}"
+            break
     return "\n".join([*(line.rstrip() for line in lines), last])
+
+
+def _cell(value: float | None, error: float | None, digits: int, scale: float = 1.0) -> str:
+    """A value with its error, times `scale`; - if it is not known."""
+    if value is None or error is None:
+        return "-"
+    return f"{scale * value:.{digits}f} +- {scale * error:.{digits}f}"

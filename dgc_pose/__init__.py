@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from dgc_pose.model import Model as Model
     from dgc_pose.model import load_model as load_model
     from dgc_pose.motion import CameraMotion as CameraMotion
+    from dgc_pose.motion import FixedCamera as FixedCamera
     from dgc_pose.motion import camera_motion as camera_motion
     from dgc_pose.pose import PairResult as PairResult
     from dgc_pose.pose import estimate_relative_pose as estimate_relative_pose
@@ -71,7 +72,7 @@ _PUBLIC = {
         "MatchingOptions",
         "NetworkMatcher",
     ),
-    "motion": ("CameraMotion", "camera_motion"),
+    "motion": ("CameraMotion", "FixedCamera", "camera_motion"),
     "pose": ("PairResult", "estimate_relative_pose", "solve_pair"),
     "rigs.rig": ("Rig", "estimate_rig"),
 }

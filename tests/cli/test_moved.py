@@ -5,9 +5,11 @@ import json
 import cv2
 import dense_scene
 import numpy as np
+import PIL.Image
 import pytest
 from bad_pictures import BAD_PICTURES, write_bad_pictures
 from command_line import assert_all_bad, assert_refused, run
+from PIL import ExifTags
 
 
 @pytest.fixture
@@ -15,15 +17,28 @@ def folder(tmp_path, monkeypatch):
     """reference.png; still.png, darker; later/turned.png, turned by 2 degrees; black.png."""
     monkeypatch.chdir(tmp_path)
     picture = dense_scene.pictures()[0]
-    R = cv2.Rodrigues(np.radians([0.0, 2.0, 0.0]))[0]
-    turn = dense_scene.K @ R @ np.linalg.inv(dense_scene.K)
-    turned = cv2.warpPerspective(picture, turn, dense_scene.SIZE, borderMode=cv2.BORDER_REFLECT)
     (tmp_path / "later").mkdir()
     cv2.imwrite("reference.png", picture)
     cv2.imwrite("still.png", (0.7 * picture).astype(np.uint8))
-    cv2.imwrite("later/turned.png", turned)
+    cv2.imwrite("later/turned.png", warped(picture, 2.0))
     cv2.imwrite("black.png", 0 * picture)
     return tmp_path
+
+
+def warped(picture, turn_deg=0.0, zoom=1.0):
+    """The picture of a camera that turned about its vertical axis and zoomed."""
+    R = cv2.Rodrigues(np.radians([0.0, turn_deg, 0.0]))[0]
+    zoomed = dense_scene.K * np.array([[zoom], [zoom], [1.0]])
+    zoomed[:2, 2] = dense_scene.K[:2, 2]
+    H = zoomed @ R @ np.linalg.inv(dense_scene.K)
+    return cv2.warpPerspective(picture, H, dense_scene.SIZE, borderMode=cv2.BORDER_REFLECT)
+
+
+def write_video(path, frames):
+    writer = cv2.VideoWriter(path, cv2.VideoWriter_fourcc(*"MJPG"), 5, dense_scene.SIZE)
+    for frame in frames:
+        writer.write(frame)
+    writer.release()
 
 
 def moved(*now):
@@ -33,7 +48,9 @@ def moved(*now):
 def test_the_table_and_the_exit_code_have_the_verdicts(folder):
     result = moved("still.png")
     assert result.exit_code == 0, result.output
-    assert "none has moved" in result.stdout and "still.png    still  0.0" in result.stdout
+    head, row, last = result.stdout.splitlines()
+    assert head.split()[:3] == ["picture", "verdict", "middle"]
+    assert row.startswith("still.png    still  0.0") and last == "none has moved"
     result = moved("still.png", "black.png")
     assert result.exit_code == 3 and "only 0 matches" in result.stdout
     result = moved("black.png", "still.png", "later", "--json", "motions.json")
@@ -49,14 +66,67 @@ def test_the_table_and_the_exit_code_have_the_verdicts(folder):
     assert on_stdout["still.png"]["verdict"] == "still"
 
 
+@pytest.mark.parametrize(
+    ("zoom", "verdict", "exit_code", "last"),
+    [
+        (1.006, "still", 0, "none has moved"),
+        (1.04, "zoomed", 1, "the first that has zoomed: Tür 3.1 später.png"),
+    ],
+)
+def test_a_zoom_is_named(folder, zoom, verdict, exit_code, last):
+    """The name has blanks, umlauts and dots."""
+    name = "Tür 3.1 später.png"
+    cv2.imencode(".png", warped(cv2.imread("reference.png"), zoom=zoom))[1].tofile(name)
+    result = moved(name, "--json", "zoomed.json")
+    assert result.exit_code == exit_code, result.output
+    assert "zoomed by" in result.stdout and result.stdout.endswith(last + "\n")
+    motion = json.loads((folder / "zoomed.json").read_text())[name]
+    assert motion["verdict"] == verdict
+    assert abs(motion["zoom"] - (zoom - 1)) < motion["zoom_error_90"] < 0.01
+    assert motion["middle_px"] < motion["middle_error_90_px"]
+    at_corner = (zoom - 1) * np.hypot(160, 120)
+    assert 0.7 * at_corner < motion["worst_px"] < at_corner + motion["worst_error_90_px"]
+
+
 def test_a_video_is_taken_as_its_frames(folder):
-    writer = cv2.VideoWriter("day.avi", cv2.VideoWriter_fourcc(*"MJPG"), 5, dense_scene.SIZE)
-    for _ in range(4):
-        writer.write(cv2.imread("still.png"))
-    writer.release()
+    """A video of one second, whose camera moves."""
+    still = cv2.imread("still.png")
+    write_video("day.avi", [still] * 2 + [warped(still, 2.0)] * 3)
     result = moved("day.avi", "--frames", 2)
-    assert result.exit_code == 0, result.output
-    assert "day.avi/000000.jpg" in result.stdout and "day.avi/000001.jpg" in result.stdout
+    assert result.exit_code == 1, result.output
+    assert "day.avi/000000.jpg    still" in result.stdout
+    assert result.stdout.endswith("the first that has moved: day.avi/000001.jpg\n")
+
+
+def test_a_picture_of_another_kind_of_camera_is_no_error(folder):
+    """Sixteen bits of grey, as from a thermal camera, without an edge in common."""
+    rng = np.random.default_rng(0)
+    heat = cv2.resize(rng.random((12, 16)), dense_scene.SIZE, interpolation=cv2.INTER_CUBIC)
+    cv2.imwrite("thermal.png", (27000 + 900 * heat).astype(np.uint16))
+    result = moved("thermal.png", "still.png")
+    assert result.exit_code == 3, result.output
+    assert "no verdict on 1 of 2" in result.stdout
+
+
+def test_a_camera_that_hangs_upside_down(folder):
+    """K is of the stored pixels: its principal point turns with the picture, once."""
+    exif = PIL.Image.Exif()
+    exif[ExifTags.Base.Orientation] = 3
+    for name in ("reference", "later/turned"):
+        picture = PIL.Image.open(f"{name}.png").rotate(180)
+        picture.save(f"{name} stored.png", exif=exif)
+    upright = run("moved", "reference.png", "later/turned.png", *sift("300,300,129,119.5"))
+    stored = ["reference stored.png", "later/turned stored.png"]
+    hanging = run("moved", *stored, *sift("300,300,190,119.5"))
+    assert "rotates K with the image" in hanging.stderr
+    (expected,), (found,) = (json.loads(run.stdout).values() for run in (upright, hanging))
+    for motion in (expected, found):
+        del motion["seconds"], motion["warnings"]
+    assert expected == found and found["verdict"] == "moved"
+
+
+def sift(K):
+    return "--K", K, "--weights", "sift", "--json", "-"
 
 
 # Pictures of another size than the reference, or of one colour, are read: their reasons are others.
@@ -94,6 +164,8 @@ def test_unusable_input_is_one_line(folder):
     assert result.exit_code == 3 and "100 x 100, reference.png has 320 x 240" in result.stdout
     assert_refused(moved("empty"), "empty: no image is in this folder")
     assert_refused(moved("missing.png"), "missing.png")
+    result = run("moved", "reference.png", "still.png", "--K", "600", "--weights", "sift")
+    assert_refused(result, "--K: '600' is neither")
     result = run("moved", "black.png", "still.png", "--K", dense_scene.K_TEXT)
     assert_refused(result, "black.png: ", "grey levels differ by 0.0")
     assert sorted(path.name for path in folder.glob("*.json")) == []
