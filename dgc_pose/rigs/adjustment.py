@@ -29,7 +29,9 @@ from dgc_pose.system.colmap_library import pycolmap
 # Largest reprojection error of a point in the adjustment: in pixels, or times the median error, as
 # the location may be off.
 _MAX_ERROR_PX, _WIDE = 2.0, 3.0
-_ERROR_FACTOR = 2.2  # expected errors over those of the adjustment: docs/experiments.md
+# Expected errors over those of the adjustment; and over these for an exact K, which cannot make up
+# for errors of the walk's camera: docs/experiments.md.
+_ERROR_FACTOR, _EXACT_FACTOR = 2.2, 1.2
 WALK = "walk/"  # prefix of the names of the walk's images
 
 
@@ -282,12 +284,12 @@ def _placed(
     camera = replace(assumed, K=changed.K, distortion=changed.distortion)
     if not assumed.exact:
         own = bundle.camera_columns(number)
-        of_camera = fitted.basis @ covariance[np.ix_(own, own)] @ fitted.basis.T
-        camera = camera.with_deviations(of_camera)
+        by_parameters = fitted.basis @ covariance[np.ix_(own, own)] @ fitted.basis.T
+        camera = camera.with_deviations(by_parameters)
     pose = bundle.columns[number]
-    of_pose = covariance[np.ix_(pose, pose)]
+    by_pose = covariance[np.ix_(pose, pose)] * (_EXACT_FACTOR**2 if assumed.exact else 1.0)
     return replace(
-        location.with_covariance(of_pose, start.extent),
+        location.with_covariance(by_pose, start.extent),
         R=bundle.R[number],
         centre=bundle.centres[number],
         camera=camera,
