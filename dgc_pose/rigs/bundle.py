@@ -43,6 +43,7 @@ _MIN_INLIERS = 8  # of a picture or of a pair
 _FITTED = 200  # matches of a pair; the errors of neighbours are correlated
 _LEAST_INFORMATION = 1e-9  # of a point, over the mean: two lines of sight may be one
 _FIXED = 1e11  # information that fixes the frame
+_LEAST_OF_POSE = 1e-6  # information: a picture that nothing places stays where it is
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +147,7 @@ class Bundle:
             observed=[
                 replace(part, points=part.points[several], seen=part.seen[several])
                 for part, several in shared
-                if several.any()
+                if several.sum() >= _MIN_INLIERS
             ],
             matched=[found for part in whole.matched if (found := self._inliers(part))],
         )
@@ -268,6 +269,8 @@ class NormalEquations:
                 self._point_gradient[rows.points] += (heavy * errors).sum(0)
                 cross = np.einsum("xnk,xni->kni", rows.slopes.reshape(2, len(errors[0]), -1), heavy)
                 crosses.append((rows.columns[:, None], rows.points, cross))
+        poses = np.arange(_POSE * len(bundle.R))
+        whole[poses, poses] += _LEAST_OF_POSE
         own = bundle.columns[len(bundle.R) :]
         for camera, columns in zip(bundle.cameras, own, strict=True):
             whole[columns, columns] += 1
@@ -292,8 +295,10 @@ class NormalEquations:
         shift = np.einsum("nij,nj->ni", self._inverse, along)
         return NormalEquations(self.bundle.moved(step, self.bundle.points - shift))
 
+    @one_blas_thread()
     def covariance(self) -> np.ndarray:
-        """Of all columns, (K, K), in the frame of the mean pose of the pictures `fixing`.
+        """The covariance (K, K) of all columns, in the frame of the mean pose of the pictures
+        `fixing`.
 
         As for a pose, see `estimation.covariance`: the usual covariance, in which `CORRELATED`
         matches count as one, and the scatter of the gradients of the blocks of each picture, whose
@@ -322,17 +327,19 @@ class NormalEquations:
         return covariance
 
     def _frame(self) -> np.ndarray:
-        """(7, K): the mean turn, shift and growth of the pictures `fixing`."""
+        """(7, K): the mean turn, shift and growth of the pictures `fixing` that points place."""
         bundle = self.bundle
+        placed = {part.image for part in bundle.observed}
+        fixing = [image for image in bundle.fixing if image in placed] or [*bundle.fixing]
         rows = np.zeros((7, bundle.columns[-1].stop))
-        offsets = bundle.centres - bundle.centres[bundle.fixing].mean(0)
-        extent = float(np.linalg.norm(offsets[bundle.fixing], axis=1).max()) or 1.0
-        for image in bundle.fixing:
+        offsets = bundle.centres - bundle.centres[fixing].mean(0)
+        extent = float(np.linalg.norm(offsets[fixing], axis=1).max()) or 1.0
+        for image in fixing:
             turn, centre = bundle.columns[image][:3], bundle.columns[image][3:]
             rows[:3, turn] = bundle.R[image].T
             rows[3:6, centre] = np.eye(3) / extent
             rows[6, centre] = offsets[image] / extent**2
-        return rows / len(bundle.fixing)
+        return rows / len(fixing)
 
 
 @one_blas_thread()
