@@ -70,7 +70,7 @@ def adjusted(
     cameras of the walk's upright images as stated or assumed, by name.
     """
     whole, numbers = extended(model, located, pictures)
-    start = _Start(model, whole)
+    start = _Start(model, whole, numbers.values())
     walk = [number for number in start.index if number not in numbers.values()]
     priors = {
         image.name.removeprefix(WALK): stated[image.name.removeprefix(WALK)]
@@ -140,7 +140,8 @@ def _adjusted(
 
 
 class _Start:
-    """The model of `extended` before its adjustment, in pixels as stored.
+    """The model of `extended` before its adjustment, in pixels as stored. added: ids of the images
+    that `model` lacks; a photograph of the walk may have the name of one.
 
     Attributes:
         index: By image id, the number of each picture with a pose.
@@ -151,12 +152,17 @@ class _Start:
         extent: The largest distance of two pictures of the walk.
     """
 
-    def __init__(self, model: Model, whole: pycolmap.Reconstruction) -> None:
+    def __init__(
+        self, model: Model, whole: pycolmap.Reconstruction, added: Collection[int] = ()
+    ) -> None:
         self._model, self._whole = model, whole
         self._images = [image for image in whole.images.values() if image.has_pose]
         self._ids = sorted({image.camera_id for image in self._images})
-        names = [image.name.removeprefix(WALK) for image in self._images]
-        self._by_name = {name: n for n, name in enumerate(names) if name in model.poses}
+        self._by_name = {
+            image.name.removeprefix(WALK): number
+            for number, image in enumerate(self._images)
+            if image.image_id not in added
+        }
         self._point_index = {key: index for index, key in enumerate(whole.points3D)}
         self.index = {image.image_id: number for number, image in enumerate(self._images)}
         self.poses = np.stack([image.cam_from_world().matrix() for image in self._images])

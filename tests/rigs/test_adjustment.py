@@ -98,3 +98,26 @@ def test_the_adjusted_poses_are_nearer_to_the_truth(tmp_path: Path, exact: bool)
     for key, theirs in walk.colmap.cameras.items():
         np.testing.assert_array_equal(whole.cameras[key].params, theirs.params)
     assert len(walk.colmap.images) == 8 and len(whole.images) == 11  # the walk is as it was
+
+
+def test_a_photograph_of_the_walk_may_have_the_name_of_a_camera(tmp_path: Path) -> None:
+    """Also where COLMAP's order of the images, which depends on their number, has the camera last:
+    the name changes nothing."""
+    pycolmap.set_random_seed(0)
+    options = pycolmap.SyntheticDatasetOptions()
+    options.num_rigs, options.num_frames_per_rig, options.num_points3D = 1, 12, 200
+    model = pycolmap.synthesize_dataset(options)
+    for image in model.images.values():
+        image.name = Path(image.name).name
+    walk = Model.of_colmap(model, tmp_path)
+    located = {name: seen_by(walk, name, 0)[1] for name in sorted(walk.poses)[:3]}
+    located = {name: replace(near, stated=CAMERA) for name, near in located.items()}
+    poses = []
+    for folder, prefix in (("one", "cam_"), ("two", "")):
+        pictures = {name: tmp_path / folder / f"{prefix}{name}" for name in located}
+        (tmp_path / folder).mkdir()
+        for path in [*pictures.values(), *(tmp_path / name for name in walk.poses)]:
+            PIL.Image.new("RGB", CAMERA.size).save(path, "PNG")
+        _, _, found = adjusted(walk, located, pictures, walk.cameras)
+        poses.append(np.stack([location.cam_from_world for location in found.values()]))
+    np.testing.assert_array_equal(*poses)
