@@ -47,9 +47,9 @@ def extended(
     )
     ids = sorted(whole.images)
     new = dict(zip(located, ids[len(ids) - len(located) :], strict=True))
-    by_file = {Path(name).name: name for name in model.poses}
+    names = {model.colmap_names.get(name, name): name for name in model.poses}
     for image in [whole.images[number] for number in ids if number not in new.values()]:
-        name = image.name if image.name in model.poses else by_file.get(Path(image.name).name)
+        name = names.get(image.name)
         if name is not None:
             image.name = WALK + name
         elif image.has_pose:

@@ -14,8 +14,8 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.localization.location import DatabaseImage, Location
 from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg
-from dgc_pose.model import Model, upright_model
-from dgc_pose.rigs.adjustment import adjusted
+from dgc_pose.model import Model, load_model, upright_model
+from dgc_pose.rigs.adjustment import adjusted, extended
 
 CAMERA = Camera(np.array([[700.0, 0, 410], [0, 700, 290], [0, 0, 1]]), (800, 600))
 NOISE_PX, STDS = 0.1, np.repeat([5e-4, 3e-3], 3)  # of the located poses: radians and units
@@ -126,3 +126,24 @@ def test_a_photograph_of_the_walk_may_have_the_name_of_a_camera(tmp_path: Path) 
         _, _, found = adjusted(walk, located, pictures, walk.cameras)
         poses.append(np.stack([location.cam_from_world for location in found.values()]))
     np.testing.assert_array_equal(*poses)
+
+
+@pytest.mark.parametrize("folder", ["", "images/"])
+def test_photographs_with_one_file_name_keep_their_poses(tmp_path: Path, folder: str) -> None:
+    """A photograph without a file has no pose, even if another has its file name. COLMAP's names
+    may be paths from another folder than that of the photographs."""
+    options = pycolmap.SyntheticDatasetOptions()
+    options.num_rigs, options.num_frames_per_rig, options.num_points3D = 1, 4, 50
+    colmap = pycolmap.synthesize_dataset(options)
+    names = ["a/1.jpg", "b/1.jpg", "c/1.jpg", "c/2.jpg"]
+    for number, name in zip(sorted(colmap.images), names, strict=True):
+        colmap.images[number].name = folder + name
+    (tmp_path / "sparse").mkdir()
+    colmap.write_binary(tmp_path / "sparse")
+    for name in names[1:]:
+        path = tmp_path / "images" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        PIL.Image.new("RGB", (1024, 768)).save(path)
+    whole, _ = extended(load_model(tmp_path / "sparse", tmp_path / "images"), {}, {})
+    found = {image.name: number for number, image in whole.images.items() if image.has_pose}
+    assert found == {f"walk/{name}": n for n, name in enumerate(names[1:], start=2)}
