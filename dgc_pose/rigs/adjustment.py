@@ -204,7 +204,8 @@ class _Start:
     def _observed(self, number: int, which: np.ndarray, seen: np.ndarray) -> Observed:
         """Points of the model (n,) int at the pixels (n, 2) of a picture; of several pixels of a
         point, the nearest to where it should be."""
-        pose, camera = self.poses[number], self.camera(number)
+        pose = self.poses[number]
+        camera = self.camera(number)
         local = self.points[which] @ pose[:, :3].T + pose[:, 3]
         normalised = camera.normalise(seen)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -282,7 +283,8 @@ def _placed(
     location: Location, bundle: Bundle, start: _Start, number: int, covariance: np.ndarray
 ) -> Location:
     """The location of picture `number` after the adjustment. covariance: of all columns."""
-    fitted, assumed = bundle.cameras[bundle.camera_of[number]], location.camera
+    fitted = bundle.cameras[bundle.camera_of[number]]
+    assumed = location.camera
     assert assumed is not None and location.covariance is not None  # of a location
     changed = with_parameters(start.camera(number), fitted.parameters)
     camera = replace(assumed, K=changed.K, distortion=changed.distortion)

@@ -335,7 +335,8 @@ class NormalEquations:
         offsets = bundle.centres - bundle.centres[fixing].mean(0)
         extent = float(np.linalg.norm(offsets[fixing], axis=1).max()) or 1.0
         for image in fixing:
-            turn, centre = bundle.columns[image][:3], bundle.columns[image][3:]
+            turn = bundle.columns[image][:3]
+            centre = bundle.columns[image][3:]
             rows[:3, turn] = bundle.R[image].T
             rows[3:6, centre] = np.eye(3) / extent
             rows[6, centre] = offsets[image] / extent**2

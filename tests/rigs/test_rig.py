@@ -146,7 +146,7 @@ def test_no_metres_are_told_before_the_matching(
 def test_a_batch_that_is_refused_leaves_the_results(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of the earlier run; one that ends without a model removes them."""
+    """The results are those of an earlier run; one that ends without a model removes them."""
 
     def refuse(*_: object, **__: object) -> None:
         raise InputError("other settings")
@@ -172,7 +172,7 @@ def test_a_batch_that_is_refused_leaves_the_results(
 def test_the_mask_of_a_camera_is_not_that_of_a_photograph(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of the same name, in the walk."""
+    """The walk has a photograph of the same name."""
     frames = write_cameras(tmp_path / "frames", "north", "south")
     picture = cv2.imread(str(frames / "north.png"))
     (frames / "north.png").unlink()
