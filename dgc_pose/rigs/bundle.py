@@ -267,8 +267,8 @@ class NormalEquations:
                 errors = rows.error.reshape(2, -1, 1)
                 by_points[rows.points] += np.einsum("xni,xnj->nij", heavy, by_point)
                 self._point_gradient[rows.points] += (heavy * errors).sum(0)
-                cross = np.einsum("xnk,xni->kni", rows.slopes.reshape(2, len(errors[0]), -1), heavy)
-                crosses.append((rows.columns[:, None], rows.points, cross))
+                cross = np.einsum("xni,xnk->nik", heavy, rows.slopes.reshape(2, len(heavy[0]), -1))
+                crosses.append((rows.columns, rows.points, cross))
         poses = np.arange(_POSE * len(bundle.R))
         whole[poses, poses] += _LEAST_OF_POSE
         own = bundle.columns[len(bundle.R) :]
@@ -278,20 +278,21 @@ class NormalEquations:
             self.cost += float(camera.deviation @ camera.deviation) / 2
         least = _LEAST_INFORMATION * np.trace(by_points, axis1=1, axis2=2).mean()
         self._inverse = np.linalg.inv(by_points + max(least, 1e-300) * np.eye(3))
-        self._cross = np.zeros((count, len(bundle.points), 3))
-        reducing = np.zeros_like(self._cross)
-        for rows_columns, points, cross in crosses:
-            self._cross[rows_columns, points] += cross
-            weighted = np.einsum("kni,nij->knj", cross, self._inverse[points])
-            reducing[rows_columns, points] += weighted
-        flat = reducing.reshape(count, -1)
-        self.hessian = whole - flat @ self._cross.reshape(count, -1).T
-        self.gradient = gradient - flat @ self._point_gradient.ravel()
+        self._cross = np.zeros((len(bundle.points), 3, count))
+        axes = np.arange(3)[:, None]
+        for open_columns, points, cross in crosses:
+            self._cross[points[:, None, None], axes, open_columns] += cross
+        # A picture shows few of the points, and those that it does not show change nothing.
+        for open_columns, points, cross in crosses:
+            reducing = (self._inverse[points] @ cross).reshape(-1, len(open_columns)).T
+            whole[open_columns] -= reducing @ self._cross[points].reshape(-1, count)
+            gradient[open_columns] -= reducing @ self._point_gradient[points].ravel()
+        self.hessian = whole
+        self.gradient = gradient
 
     def moved(self, step: np.ndarray) -> NormalEquations:
         """After a step (K,), with the points that fit it."""
-        by_step = (step @ self._cross.reshape(len(step), -1)).reshape(-1, 3)
-        along = self._point_gradient + by_step
+        along = self._point_gradient + self._cross @ step
         shift = np.einsum("nij,nj->ni", self._inverse, along)
         return NormalEquations(self.bundle.moved(step, self.bundle.points - shift))
 
@@ -316,7 +317,7 @@ class NormalEquations:
                 both = np.tile(rows.points, 2)
                 inverses = self._inverse[both]
                 shifts = np.einsum("n,nij,nj->ni", weighted, inverses, rows.by_point)
-                gradients -= np.einsum("ni,kni->nk", shifts, self._cross[:, both])
+                gradients -= np.einsum("ni,nik->nk", shifts, self._cross[both])
             images.setdefault(rows.image, []).append((rows.seen, gradients))
         for parts in images.values():
             seen, gradients = (np.vstack(each) for each in zip(*parts, strict=True))
