@@ -50,6 +50,7 @@ class Model:
         warnings: Sentences about what is missing, for people.
         colmap: COLMAP's reconstruction, in pixels as stored, with the tracks and all images; None
             for other formats, and without points.
+        colmap_names: By name, what `colmap` calls an image, where that is another name.
         bad: By name, why images that are there are not used; also in `warnings`.
     """
 
@@ -61,6 +62,7 @@ class Model:
     seen: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     colmap: pycolmap.Reconstruction | None = None
+    colmap_names: Mapping[str, str] = field(default_factory=dict)
     bad: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
@@ -223,7 +225,18 @@ def _upright(
     lacks = [f"{root} lacks {count} of {path}"] if missing else []
     warnings = (*lacks, *(f"not used: {why}" for why in bad.values()))
     model = whole or Model(root, cameras, poses)
-    return replace(model, cameras=cameras, poses=poses, seen=seen, warnings=warnings, bad=bad)
+    others = dict[str, str]()
+    if whole is not None:
+        others = {name: stated for stated, name in names.items() if name and name != stated}
+    return replace(
+        model,
+        cameras=cameras,
+        poses=poses,
+        seen=seen,
+        warnings=warnings,
+        colmap_names=others,
+        bad=bad,
+    )
 
 
 def read_colmap(source: Path) -> pycolmap.Reconstruction:

@@ -241,7 +241,7 @@ def _measured(
     zoom_error = NORMAL_90 * (1 + zoom) * math.sqrt(variances[ZOOM])
     how_far = (
         f"the middle moves by {middle_px:.1f} +- {middle_error:.1f} px, the worst place by "
-        f"{moves[worst]:.1f} +- {errors[worst]:.1f}"
+        f"{moves[worst]:.1f} +- {errors[worst]:.1f} px"
     )
     zoomed = ""
     if abs(zoom) > _SIGNIFICANT * zoom_error:

@@ -69,9 +69,9 @@ class Location:
         probability: Probability that R is within 5 degrees and the centre within 5 % of the
             largest distance between two cameras of the model; 0 unless located, None if the
             probabilities of the pairs are unknown.
-        camera: The query's camera. If the query is located and its K is not exact, with the focal
-            length fitted to the matches.
-        stated: The query's camera as stated or assumed before the matches.
+        camera: The query's camera. If the query is located and its K is not exact, fitted to the
+            matches, with the standard deviations that are left.
+        stated: The query's camera as stated or assumed before the matches; None unless located.
         warnings: Sentences for the user.
         seconds: Time of each step: "load", "describe", "match", "estimate".
     """

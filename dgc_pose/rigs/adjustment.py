@@ -49,9 +49,9 @@ def extended(
     )
     ids = sorted(whole.images)
     new = dict(zip(located, ids[len(ids) - len(located) :], strict=True))
-    by_file = {Path(name).name: name for name in model.poses}
+    names = {model.colmap_names.get(name, name): name for name in model.poses}
     for image in [whole.images[number] for number in ids if number not in new.values()]:
-        name = image.name if image.name in model.poses else by_file.get(Path(image.name).name)
+        name = names.get(image.name)
         if name is not None:
             image.name = WALK + name
         elif image.has_pose:
@@ -72,7 +72,7 @@ def adjusted(
     cameras of the walk's upright images as stated or assumed, by name.
     """
     whole, numbers = extended(model, located, pictures)
-    start = _Start(model, whole)
+    start = _Start(model, whole, numbers.values())
     walk = [number for number in start.index if number not in numbers.values()]
     priors = {
         image.name.removeprefix(WALK): stated[image.name.removeprefix(WALK)]
@@ -142,7 +142,8 @@ def _adjusted(
 
 
 class _Start:
-    """The model of `extended` before its adjustment, in pixels as stored.
+    """The model of `extended` before its adjustment, in pixels as stored. added: ids of the images
+    that `model` lacks; a photograph of the walk may have the name of one.
 
     Attributes:
         index: By image id, the number of each picture with a pose.
@@ -153,12 +154,17 @@ class _Start:
         extent: The largest distance of two pictures of the walk.
     """
 
-    def __init__(self, model: Model, whole: pycolmap.Reconstruction) -> None:
+    def __init__(
+        self, model: Model, whole: pycolmap.Reconstruction, added: Collection[int] = ()
+    ) -> None:
         self._model, self._whole = model, whole
         self._images = [image for image in whole.images.values() if image.has_pose]
         self._ids = sorted({image.camera_id for image in self._images})
-        names = [image.name.removeprefix(WALK) for image in self._images]
-        self._by_name = {name: n for n, name in enumerate(names) if name in model.poses}
+        self._by_name = {
+            image.name.removeprefix(WALK): number
+            for number, image in enumerate(self._images)
+            if image.image_id not in added
+        }
         self._point_index = {key: index for index, key in enumerate(whole.points3D)}
         self.index = {image.image_id: number for number, image in enumerate(self._images)}
         self.poses = np.stack([image.cam_from_world().matrix() for image in self._images])
@@ -200,7 +206,8 @@ class _Start:
     def _observed(self, number: int, which: np.ndarray, seen: np.ndarray) -> Observed:
         """Points of the model (n,) int at the pixels (n, 2) of a picture; of several pixels of a
         point, the nearest to where it should be."""
-        pose, camera = self.poses[number], self.camera(number)
+        pose = self.poses[number]
+        camera = self.camera(number)
         local = self.points[which] @ pose[:, :3].T + pose[:, 3]
         normalised = camera.normalise(seen)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -278,7 +285,8 @@ def _placed(
     location: Location, bundle: Bundle, start: _Start, number: int, covariance: np.ndarray
 ) -> Location:
     """The location of picture `number` after the adjustment. covariance: of all columns."""
-    fitted, assumed = bundle.cameras[bundle.camera_of[number]], location.camera
+    fitted = bundle.cameras[bundle.camera_of[number]]
+    assumed = location.camera
     assert assumed is not None and location.covariance is not None  # of a location
     changed = with_parameters(start.camera(number), fitted.parameters)
     camera = replace(assumed, K=changed.K, distortion=changed.distortion)

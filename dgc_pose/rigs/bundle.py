@@ -43,6 +43,7 @@ _MIN_INLIERS = 8  # of a picture or of a pair
 _FITTED = 200  # matches of a pair; the errors of neighbours are correlated
 _LEAST_INFORMATION = 1e-9  # of a point, over the mean: two lines of sight may be one
 _FIXED = 1e11  # information that fixes the frame
+_LEAST_OF_POSE = 1e-6  # information: a picture that nothing places stays where it is
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +147,7 @@ class Bundle:
             observed=[
                 replace(part, points=part.points[several], seen=part.seen[several])
                 for part, several in shared
-                if several.any()
+                if several.sum() >= _MIN_INLIERS
             ],
             matched=[found for part in whole.matched if (found := self._inliers(part))],
         )
@@ -266,8 +267,10 @@ class NormalEquations:
                 errors = rows.error.reshape(2, -1, 1)
                 by_points[rows.points] += np.einsum("xni,xnj->nij", heavy, by_point)
                 self._point_gradient[rows.points] += (heavy * errors).sum(0)
-                cross = np.einsum("xnk,xni->kni", rows.slopes.reshape(2, len(errors[0]), -1), heavy)
-                crosses.append((rows.columns[:, None], rows.points, cross))
+                cross = np.einsum("xni,xnk->nik", heavy, rows.slopes.reshape(2, len(heavy[0]), -1))
+                crosses.append((rows.columns, rows.points, cross))
+        poses = np.arange(_POSE * len(bundle.R))
+        whole[poses, poses] += _LEAST_OF_POSE
         own = bundle.columns[len(bundle.R) :]
         for camera, columns in zip(bundle.cameras, own, strict=True):
             whole[columns, columns] += 1
@@ -275,25 +278,28 @@ class NormalEquations:
             self.cost += float(camera.deviation @ camera.deviation) / 2
         least = _LEAST_INFORMATION * np.trace(by_points, axis1=1, axis2=2).mean()
         self._inverse = np.linalg.inv(by_points + max(least, 1e-300) * np.eye(3))
-        self._cross = np.zeros((count, len(bundle.points), 3))
-        reducing = np.zeros_like(self._cross)
-        for rows_columns, points, cross in crosses:
-            self._cross[rows_columns, points] += cross
-            weighted = np.einsum("kni,nij->knj", cross, self._inverse[points])
-            reducing[rows_columns, points] += weighted
-        flat = reducing.reshape(count, -1)
-        self.hessian = whole - flat @ self._cross.reshape(count, -1).T
-        self.gradient = gradient - flat @ self._point_gradient.ravel()
+        self._cross = np.zeros((len(bundle.points), 3, count))
+        axes = np.arange(3)[:, None]
+        for open_columns, points, cross in crosses:
+            self._cross[points[:, None, None], axes, open_columns] += cross
+        # A picture shows few of the points, and those that it does not show change nothing.
+        for open_columns, points, cross in crosses:
+            reducing = (self._inverse[points] @ cross).reshape(-1, len(open_columns)).T
+            whole[open_columns] -= reducing @ self._cross[points].reshape(-1, count)
+            gradient[open_columns] -= reducing @ self._point_gradient[points].ravel()
+        self.hessian = whole
+        self.gradient = gradient
 
     def moved(self, step: np.ndarray) -> NormalEquations:
         """After a step (K,), with the points that fit it."""
-        by_step = (step @ self._cross.reshape(len(step), -1)).reshape(-1, 3)
-        along = self._point_gradient + by_step
+        along = self._point_gradient + self._cross @ step
         shift = np.einsum("nij,nj->ni", self._inverse, along)
         return NormalEquations(self.bundle.moved(step, self.bundle.points - shift))
 
+    @one_blas_thread()
     def covariance(self) -> np.ndarray:
-        """Of all columns, (K, K), in the frame of the mean pose of the pictures `fixing`.
+        """The covariance (K, K) of all columns, in the frame of the mean pose of the pictures
+        `fixing`.
 
         As for a pose, see `estimation.covariance`: the usual covariance, in which `CORRELATED`
         matches count as one, and the scatter of the gradients of the blocks of each picture, whose
@@ -311,7 +317,7 @@ class NormalEquations:
                 both = np.tile(rows.points, 2)
                 inverses = self._inverse[both]
                 shifts = np.einsum("n,nij,nj->ni", weighted, inverses, rows.by_point)
-                gradients -= np.einsum("ni,kni->nk", shifts, self._cross[:, both])
+                gradients -= np.einsum("ni,nik->nk", shifts, self._cross[both])
             images.setdefault(rows.image, []).append((rows.seen, gradients))
         for parts in images.values():
             seen, gradients = (np.vstack(each) for each in zip(*parts, strict=True))
@@ -322,17 +328,20 @@ class NormalEquations:
         return covariance
 
     def _frame(self) -> np.ndarray:
-        """(7, K): the mean turn, shift and growth of the pictures `fixing`."""
+        """(7, K): the mean turn, shift and growth of the pictures `fixing` that points place."""
         bundle = self.bundle
+        placed = {part.image for part in bundle.observed}
+        fixing = [image for image in bundle.fixing if image in placed] or [*bundle.fixing]
         rows = np.zeros((7, bundle.columns[-1].stop))
-        offsets = bundle.centres - bundle.centres[bundle.fixing].mean(0)
-        extent = float(np.linalg.norm(offsets[bundle.fixing], axis=1).max()) or 1.0
-        for image in bundle.fixing:
-            turn, centre = bundle.columns[image][:3], bundle.columns[image][3:]
+        offsets = bundle.centres - bundle.centres[fixing].mean(0)
+        extent = float(np.linalg.norm(offsets[fixing], axis=1).max()) or 1.0
+        for image in fixing:
+            turn = bundle.columns[image][:3]
+            centre = bundle.columns[image][3:]
             rows[:3, turn] = bundle.R[image].T
             rows[3:6, centre] = np.eye(3) / extent
             rows[6, centre] = offsets[image] / extent**2
-        return rows / len(bundle.fixing)
+        return rows / len(fixing)
 
 
 @one_blas_thread()

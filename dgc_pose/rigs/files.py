@@ -157,11 +157,14 @@ def compared(
 
 def _places(old: np.ndarray, new: np.ndarray, limits: np.ndarray) -> np.ndarray:
     """The old camera (N,) in whose place each new one is: itself, but for two that changed places.
-    These are within the limits (N, 2) there, and more cameras are than without the change."""
+    These are within the limits (N, 2) there alone, and more cameras are than without the change."""
     itself = np.arange(len(old))
     best = itself
-    most = int(np.sum(np.all(_aligned_changes(old, new, limits) <= limits, axis=1)))
-    for pair in combinations(range(len(old)), 2):
+    agree = np.all(_aligned_changes(old, new, limits) <= limits, axis=1)
+    most = int(np.sum(agree))
+    # The first of two cameras is the frame, and always agrees.
+    may_change = itself if len(old) == 2 else np.flatnonzero(~agree)
+    for pair in combinations(may_change.tolist(), 2):
         places = itself.copy()
         places[[*pair]] = places[[*pair[::-1]]]
         agree = np.all(_aligned_changes(old[places], new, limits) <= limits, axis=1)

@@ -244,7 +244,7 @@ def _placed_rig(inputs: RigInputs, made: _MadeModels, progress: Progress) -> Rig
         placed[name] = in_metres(location, pose, scale)
     model = _in_one_folder(whole, inputs.images)
     write_models(inputs.out, [model])
-    warnings += (*metric.pop("warnings", ()), *_same_poses(placed))
+    warnings += (*metric.pop("warnings", ()), *_same_poses(placed, metric.get("unit", "")))
     return Rig(cameras | placed, model, metric, warnings, not_in_metres)
 
 
@@ -351,8 +351,9 @@ def _in_one_folder(whole: pycolmap.Reconstruction, images: Mapping[str, Path]) -
     return upright_model(whole, Path(root))
 
 
-def _same_poses(cameras: Mapping[str, Location]) -> tuple[str, ...]:
-    """A warning for each pair of cameras whose poses differ by less than their expected errors."""
+def _same_poses(cameras: Mapping[str, Location], unit: str) -> tuple[str, ...]:
+    """A warning for each pair of cameras whose poses differ by less than their expected errors.
+    cameras: located, by name. unit: of length, or "" up to scale."""
     warnings = []
     for (name1, one), (name2, two) in combinations(cameras.items(), 2):
         assert one.R is not None and two.R is not None and one.centre is not None
@@ -363,6 +364,7 @@ def _same_poses(cameras: Mapping[str, Location]) -> tuple[str, ...]:
             for error in ("rotation_error_90_deg", "position_error_90")
         )
         if angle < turn and apart < shift:
-            differ = f"{angle:.2g} degrees and {apart:.2g} apart"
+            distance = f"{apart:.2g} {unit}".rstrip()
+            differ = f"{angle:.2g} degrees and {distance} apart"
             warnings.append(f"{name1} and {name2} have the same pose: they are {differ}")
     return tuple(warnings)

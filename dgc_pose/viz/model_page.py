@@ -123,7 +123,8 @@ def _summary(model: Model, unit: str, fixed: Sequence[str], rejected: int) -> st
     """A line about a model. fixed: names of the fixed cameras' pictures. rejected: number of pairs
     rejected as look-alikes."""
     walk = len(model.poses) - len(fixed)
-    cameras, extent = f"{walk} cameras", model.extent
+    cameras = f"{walk} cameras"
+    extent = model.extent
     if fixed:
         cameras = f"{len(fixed)} fixed cameras" + (f", a walk of {walk}" if walk else "")
         extent = replace(model, poses={name: model.poses[name] for name in fixed}).extent

@@ -42,7 +42,7 @@ def cameras(turned: str = "") -> dict[str, Location]:
 
 
 def model_of(located: dict[str, Location]) -> Model:
-    """Of the pictures in frames/."""
+    """A model of the pictures in frames/."""
     poses = {f"{name}.png": location.cam_from_world for name, location in located.items()}
     return Model(Path("frames"), dict.fromkeys(poses, Camera(K, SIZE)), poses)
 

@@ -7,14 +7,15 @@ import numpy as np
 import PIL.Image
 import pycolmap
 import pytest
+from PIL import ExifTags
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.localization.location import DatabaseImage, Location
 from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg
-from dgc_pose.model import Model
-from dgc_pose.rigs.adjustment import adjusted
+from dgc_pose.model import Model, load_model, upright_model
+from dgc_pose.rigs.adjustment import adjusted, extended
 
 CAMERA = Camera(np.array([[700.0, 0, 410], [0, 700, 290], [0, 0, 1]]), (800, 600))
 NOISE_PX, STDS = 0.1, np.repeat([5e-4, 3e-3], 3)  # of the located poses: radians and units
@@ -57,14 +58,23 @@ def seen_by(model: Model, near: str, seed: int) -> tuple[Location, Location]:
     return true, replace(true, R=turned(R, rng, STDS[0]), centre=centre, covariance=covariance)
 
 
-@pytest.mark.parametrize("exact", [True, False])
-def test_the_adjusted_poses_are_nearer_to_the_truth(tmp_path: Path, exact: bool) -> None:
+@pytest.mark.parametrize(("exact", "orientation"), [(True, 1), (False, 1), (True, 3), (False, 6)])
+def test_the_adjusted_poses_are_nearer_to_the_truth(
+    tmp_path: Path, exact: bool, orientation: int
+) -> None:
     """An exact K stays, another is fitted; the walk keeps its cameras, and wrong observations bend
-    nothing."""
+    nothing. Matches and cameras of the walk are upright, and COLMAP's model is as stored."""
     pycolmap.set_random_seed(0)
     options = pycolmap.SyntheticDatasetOptions()
     options.num_rigs, options.num_frames_per_rig, options.num_points3D = 1, 8, 400
-    walk = Model.of_colmap(pycolmap.synthesize_dataset(options), Path())
+    options.camera_params = [1280, 490, 400, 0.05]
+    colmap = pycolmap.synthesize_dataset(options)
+    exif = PIL.Image.Exif()
+    exif[ExifTags.Base.Orientation] = orientation
+    for image in colmap.images.values():
+        stored = PIL.Image.new("RGB", (image.camera.width, image.camera.height))
+        stored.save(tmp_path / image.name, "PNG", exif=exif)
+    walk = upright_model(colmap, tmp_path)
     cameras = {name: seen_by(walk, name, n) for n, name in enumerate(sorted(walk.poses)[:3])}
     assumed = replace(CAMERA, focal_std=0.01, centre_std=2.0).with_focal(703.0)
     camera = CAMERA if exact else assumed
@@ -72,13 +82,8 @@ def test_the_adjusted_poses_are_nearer_to_the_truth(tmp_path: Path, exact: bool)
         name: replace(near, camera=camera, stated=camera) for name, (_, near) in cameras.items()
     }
     pictures = {name: tmp_path / f"cam_{name}" for name in cameras}
-    walk = replace(walk, root=tmp_path)
-    for path, size in [
-        *((path, CAMERA.size) for path in pictures.values()),
-        *((tmp_path / name, stated.size) for name, stated in walk.cameras.items()),
-    ]:
-        path.parent.mkdir(exist_ok=True)
-        PIL.Image.new("RGB", size).save(path, "PNG")
+    for path in pictures.values():
+        PIL.Image.new("RGB", CAMERA.size).save(path, "PNG")
     whole, _, found = adjusted(walk, located, pictures, walk.cameras)
     errors = []
     for name, (true, near) in cameras.items():
@@ -93,8 +98,52 @@ def test_the_adjusted_poses_are_nearer_to_the_truth(tmp_path: Path, exact: bool)
         assert errors[-1][1] < of.position_error_90
         np.testing.assert_allclose(of.camera.K, CAMERA.K, atol=1e-9 if exact else 1.5)
     before, after = (np.mean(errors[first::2], axis=0) for first in (0, 1))
-    assert after[0] < (0.4 if exact else 0.6) * before[0]
+    assert after[0] < (0.4 if exact else 0.7) * before[0]
     assert after[1] < (0.4 if exact else 1.5) * before[1]  # a focal length trades with the centre
     for key, theirs in walk.colmap.cameras.items():
         np.testing.assert_array_equal(whole.cameras[key].params, theirs.params)
     assert len(walk.colmap.images) == 8 and len(whole.images) == 11  # the walk is as it was
+
+
+def test_a_photograph_of_the_walk_may_have_the_name_of_a_camera(tmp_path: Path) -> None:
+    """Also where COLMAP's order of the images, which depends on their number, has the camera last:
+    the name changes nothing."""
+    pycolmap.set_random_seed(0)
+    options = pycolmap.SyntheticDatasetOptions()
+    options.num_rigs, options.num_frames_per_rig, options.num_points3D = 1, 12, 200
+    model = pycolmap.synthesize_dataset(options)
+    for image in model.images.values():
+        image.name = Path(image.name).name
+    walk = Model.of_colmap(model, tmp_path)
+    located = {name: seen_by(walk, name, 0)[1] for name in sorted(walk.poses)[:3]}
+    located = {name: replace(near, stated=CAMERA) for name, near in located.items()}
+    poses = []
+    for folder, prefix in (("one", "cam_"), ("two", "")):
+        pictures = {name: tmp_path / folder / f"{prefix}{name}" for name in located}
+        (tmp_path / folder).mkdir()
+        for path in [*pictures.values(), *(tmp_path / name for name in walk.poses)]:
+            PIL.Image.new("RGB", CAMERA.size).save(path, "PNG")
+        _, _, found = adjusted(walk, located, pictures, walk.cameras)
+        poses.append(np.stack([location.cam_from_world for location in found.values()]))
+    np.testing.assert_array_equal(*poses)
+
+
+@pytest.mark.parametrize("folder", ["", "images/"])
+def test_photographs_with_one_file_name_keep_their_poses(tmp_path: Path, folder: str) -> None:
+    """A photograph without a file has no pose, even if another has its file name. COLMAP's names
+    may be paths from another folder than that of the photographs."""
+    options = pycolmap.SyntheticDatasetOptions()
+    options.num_rigs, options.num_frames_per_rig, options.num_points3D = 1, 4, 50
+    colmap = pycolmap.synthesize_dataset(options)
+    names = ["a/1.jpg", "b/1.jpg", "c/1.jpg", "c/2.jpg"]
+    for number, name in zip(sorted(colmap.images), names, strict=True):
+        colmap.images[number].name = folder + name
+    (tmp_path / "sparse").mkdir()
+    colmap.write_binary(tmp_path / "sparse")
+    for name in names[1:]:
+        path = tmp_path / "images" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        PIL.Image.new("RGB", (1024, 768)).save(path)
+    whole, _ = extended(load_model(tmp_path / "sparse", tmp_path / "images"), {}, {})
+    found = {image.name: number for number, image in whole.images.items() if image.has_pose}
+    assert found == {f"walk/{name}": n for n, name in enumerate(names[1:], start=2)}

@@ -145,6 +145,34 @@ def test_the_stated_errors_hold(lower: bool) -> None:
     assert np.median(stated, axis=0)[1] < (0.5 if lower else 0.1)
 
 
+def test_a_picture_that_hardly_a_point_places_leaves_the_others() -> None:
+    """Neither their poses nor their errors know of it; its own errors are large."""
+    bundle, R, centres = world(0, ASSUMED.with_focal(690.0))
+    few = [
+        replace(part, points=part.points[:5], seen=part.seen[:5]) if part.image == 3 else part
+        for part in bundle.observed
+    ]
+    stds = []
+    for observed in (bundle.observed, few):
+        normal = minimised(replace(bundle, observed=observed))
+        before, after = (off_truth(each, R, centres) for each in (bundle, normal.bundle))
+        assert max(np.divide(after, before)) < 0.9
+        variances = normal.covariance().diagonal()
+        stds.append([np.sqrt(variances[columns].sum()) for columns in normal.bundle.columns[:7]])
+    grown = np.divide(*stds[::-1])
+    assert grown[3] > 1000 and np.delete(grown, 3).max() < 1.5
+
+
+def test_a_camera_that_nothing_places_has_large_errors() -> None:
+    bundle, *_ = world(0, ASSUMED.with_focal(690.0))
+    observed = [part for part in bundle.observed if part.image < 6]
+    normal = minimised(replace(bundle, observed=observed, matched=[]))
+    variances = normal.covariance().diagonal()
+    stds = [np.sqrt(variances[columns].sum()) for columns in normal.bundle.columns[:7]]
+    assert stds[6] > 100 and max(stds[:6]) < 0.02
+    np.testing.assert_array_equal(normal.bundle.R[6], bundle.R[6])
+
+
 @pytest.mark.parametrize(
     ("stated", "rows"),
     [

@@ -27,7 +27,7 @@ UP_TO_SCALE = ReconstructionOptions()
 
 @pytest.fixture(scope="module")
 def cameras(tmp_path_factory: pytest.TempPathFactory) -> FixedCameras:
-    """Of a folder with a picture, frames of which half are white below, and a broken picture."""
+    """A picture, frames of which half are white below, and a broken picture, as three cameras."""
     folder = tmp_path_factory.mktemp("rig")
     first, second = render_views(2)
     (folder / "frames" / "desk").mkdir(parents=True)

@@ -26,10 +26,11 @@ from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.localization.locate import Locator
+from dgc_pose.localization.location import Location
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.model import Model, load_model
-from dgc_pose.rigs.rig import Rig, _checked, estimate_rig
+from dgc_pose.rigs.rig import Rig, _checked, _same_poses, estimate_rig
 
 K = np.array([[180.0, 0, 120], [0, 180, 89.5], [0, 0, 1]])  # of the fixed cameras
 CENTRES = {"north": (-0.7, -0.5, 0.3), "south": (0.8, -0.3, -0.4), "west": (0.1, 0.4, 0.5)}
@@ -146,7 +147,7 @@ def test_no_metres_are_told_before_the_matching(
 def test_a_batch_that_is_refused_leaves_the_results(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of the earlier run; one that ends without a model removes them."""
+    """The results are those of an earlier run; one that ends without a model removes them."""
 
     def refuse(*_: object, **__: object) -> None:
         raise InputError("other settings")
@@ -172,7 +173,7 @@ def test_a_batch_that_is_refused_leaves_the_results(
 def test_the_mask_of_a_camera_is_not_that_of_a_photograph(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of the same name, in the walk."""
+    """The walk has a photograph of the same name."""
     frames = write_cameras(tmp_path / "frames", "north", "south")
     picture = cv2.imread(str(frames / "north.png"))
     (frames / "north.png").unlink()
@@ -298,3 +299,16 @@ def test_without_a_walk_the_pictures_are_the_model(tmp_path: Path) -> None:
     poses = {name: rig.cameras[name].cam_from_world for name in names}
     assert_true(rig, "north south west", frame_of(poses, true))
     np.testing.assert_allclose(rig.cameras["south"].camera.K, K, atol=1e-9)
+
+
+@pytest.mark.parametrize(("unit", "distance"), [("m", "0.01 m apart"), ("", "0.01 apart")])
+def test_cameras_with_one_pose_are_told(unit: str, distance: str) -> None:
+    """Those that are nearer to each other than their errors, in angle and distance."""
+    covariance = np.diag([1e-6] * 3 + [1e-4] * 3)
+    cameras = {
+        name: Location("located", "", (), np.eye(3), np.array([x, 0, 0]), covariance=covariance)
+        for name, x in (("door", 0.0), ("pole", 0.01), ("desk", 1.0))
+    }
+    (warning,) = _same_poses(cameras, unit)
+    end = f"they are 0 degrees and {distance}"
+    assert warning == f"door and pole have the same pose: {end}"
