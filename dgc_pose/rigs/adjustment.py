@@ -292,8 +292,9 @@ def _placed(
     camera = replace(assumed, K=changed.K, distortion=changed.distortion)
     if not assumed.exact:
         own = bundle.camera_columns(number)
-        by_parameters = fitted.basis @ covariance[np.ix_(own, own)] @ fitted.basis.T
-        camera = camera.with_deviations(by_parameters)
+        variances = (fitted.basis @ covariance[np.ix_(own, own)] @ fitted.basis.T).diagonal()
+        most = np.square(fitted.basis).sum(axis=1)  # what was stated is not widened
+        camera = camera.with_deviations(np.diag(np.minimum(variances, most)))
     pose = bundle.columns[number]
     by_pose = covariance[np.ix_(pose, pose)] * (_EXACT_FACTOR**2 if assumed.exact else 1.0)
     return replace(

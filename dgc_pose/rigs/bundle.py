@@ -8,6 +8,7 @@ reprojection errors of points, and Sampson errors of matches. The points are eli
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,6 +19,7 @@ import numpy as np
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.estimation.intrinsics_prior import (
     EXACT,
+    FOCALS,
     SIZE,
     IntrinsicsPrior,
     error_slopes,
@@ -169,7 +171,8 @@ class Bundle:
     def _inliers(self, part: Matched) -> Matched | None:
         R, t, _, parameters = self.pair(part)
         threshold = part.problem.threshold
-        error = np.abs(error_slopes(part.problem, R, t, EXACT, parameters)[0])
+        growth = math.exp(parameters[FOCALS].mean())  # as of the errors that are minimised
+        error = growth * np.abs(error_slopes(part.problem, R, t, EXACT, parameters)[0])
         depth1, depth2 = depths(*renormalised_pair(part.problem, parameters), R, t)
         good = np.flatnonzero((error < threshold) & (depth1 > 0) & (depth2 > 0))
         if len(good) < _MIN_INLIERS:

@@ -22,6 +22,7 @@ from dgc_pose.batch.result import Batch
 from dgc_pose.batch.run import Progress, run_batch
 from dgc_pose.batch.source import BATCH, PAGE, PairChoice, Source
 from dgc_pose.cameras.by_image import Calibration
+from dgc_pose.cameras.camera import colmap_camera
 from dgc_pose.colmap.database import NoPairError
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.reconstruction import (
@@ -307,9 +308,14 @@ def _checked(location: Location, name: str, locator: Locator) -> Location:
     if location.success:
         agreeing = sum(image.agrees for image in matched)
         usable = len(locator.model.poses) - len(locator.bad)
-        if agreeing >= min(_LEAST_AGREEING, usable - 1):
+        if agreeing < min(_LEAST_AGREEING, usable - 1):
+            reason = f"its pose agrees with {agreeing} of {len(matched)} pictures"
+        elif location.camera is not None:
+            try:
+                colmap_camera(location.camera, name)
+            except InputError as error:  # as a cylinder
+                return Location("nowhere", str(error), matched, warnings=location.warnings)
             return location
-        reason = f"its pose agrees with {agreeing} of {len(matched)} pictures"
     if matched:
         reason += f"; pictures between {name} and {matched[0].name} would connect it"
     return Location("nowhere", reason, matched, warnings=location.warnings)

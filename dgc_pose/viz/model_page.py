@@ -126,7 +126,9 @@ def _summary(model: Model, unit: str, fixed: Sequence[str], rejected: int) -> st
     cameras = f"{walk} cameras"
     extent = model.extent
     if fixed:
-        cameras = f"{len(fixed)} fixed cameras" + (f", a walk of {walk}" if walk else "")
+        cameras = f"{len(fixed)} fixed camera{'s' * (len(fixed) != 1)}" + (
+            f", a walk of {walk}" if walk else ""
+        )
         extent = replace(model, poses={name: model.poses[name] for name in fixed}).extent
     facts = [f"{cameras}, {len(model.points)} points"]
     if rejected:
