@@ -231,6 +231,8 @@ class Locator:
         if not against_K or (location.success and search.stated is camera):
             return location
         said = f"{image.name}: {_against(camera, location, against_K)}"
+        if location.success:  # by another camera than the stated one
+            said += "; the location is without this K"
         return replace(location, warnings=(said, *location.warnings))
 
     def _points(

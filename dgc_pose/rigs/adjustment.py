@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera, colmap_camera, image_size, matrix_camera
+from dgc_pose.cameras.colmap_camera import RADIAL, Distortion
 from dgc_pose.cameras.prior import LENS_STD, MOUNTED_STD, nearest_part
 from dgc_pose.colmap.database import to_stored
 from dgc_pose.estimation.intrinsics_prior import (
@@ -168,7 +169,7 @@ class _Start:
         self._point_index = {key: index for index, key in enumerate(whole.points3D)}
         self.index = {image.image_id: number for number, image in enumerate(self._images)}
         self.poses = np.stack([image.cam_from_world().matrix() for image in self._images])
-        self.cameras = [matrix_camera(whole.cameras[number]) for number in self._ids]
+        self.cameras = [start_camera(whole.cameras[number]) for number in self._ids]
         self.camera_of = [self._ids.index(image.camera_id) for image in self._images]
         self.extent = model.extent
         self.points = np.array([p.xyz for p in whole.points3D.values()]).reshape(-1, 3)
@@ -264,6 +265,16 @@ class _Start:
                 element = pycolmap.TrackElement(image.image_id, index)
                 self._whole.add_observation(keys[point], element)
         self._whole.update_point_3d_errors()
+
+
+def start_camera(theirs: pycolmap.Camera) -> Camera:
+    """The camera of COLMAP; a RADIAL lens with two focal lengths, which is OPENCV there, as
+    RADIAL."""
+    camera = matrix_camera(theirs)
+    lens = camera.distortion
+    if lens is None or lens.model != "OPENCV" or any(lens.coefficients[2:]):
+        return camera
+    return replace(camera, distortion=Distortion(RADIAL, lens.coefficients[:2]))
 
 
 def bundle_camera(start: Camera, stated: Camera) -> BundleCamera:

@@ -92,7 +92,7 @@ class CameraChange:
         """The change in one line. unit: of length, or "" if unknown."""
         focal = "" if self.focal_change is None else f", focal length {self.focal_change:+.2f} %"
         turn = f"{self.angle_deg:.3f} +- {self.angle_error_deg:.3f} deg"
-        shift = f"{self.distance:.3g} +- {self.distance_error:.2g} {unit}".rstrip()
+        shift = f"{self.distance:.3g} +- {self.distance_error:.2g} {unit or 'units of the new rig'}"
         change = f"{turn} and {shift}{focal}"
         if self.place_of is not None:
             swapped = "the two, or their pictures, changed places"

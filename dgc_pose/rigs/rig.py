@@ -294,11 +294,25 @@ def _located(inputs: RigInputs, made: _MadeModels, progress: Progress) -> _Locat
         count = f"{len(missing)} of {len(walked)} photographs of the walk are not in its model"
         warnings.append(f"{count}: {shortened(', '.join(missing))}")
     if made.are_own:
-        reason = "it has a pose, and COLMAP did not take it into the model"
-        for name, location in cameras.items():
-            if location.success and pictures[name].name not in model.poses:
-                cameras[name] = Location("nowhere", reason, location.database_images)
+        cameras = _in_own_model(cameras, {n: pictures[n].name in model.poses for n in cameras})
     return _Located(cameras, model, tuple(warnings))
+
+
+def _in_own_model(
+    cameras: Mapping[str, Location], in_model: Mapping[str, bool]
+) -> dict[str, Location]:
+    """The locations in the model of the cameras' own pictures: those of at least two cameras that
+    are in the model."""
+    found = dict(cameras)
+    for name, location in cameras.items():
+        if location.success and not in_model[name]:
+            reason = "it has a pose, and COLMAP did not take it into the model"
+            found[name] = Location("nowhere", reason, location.database_images)
+    placed = [name for name, location in found.items() if location.success]
+    if len(placed) == 1:
+        reason = "no other camera has a place, and photographs between them would give one"
+        found[placed[0]] = Location("nowhere", reason, found[placed[0]].database_images)
+    return found
 
 
 def _checked(location: Location, name: str, locator: Locator) -> Location:

@@ -8,11 +8,13 @@ import numpy as np
 
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image, resize_by
+from dgc_pose.matches import Matches
 from dgc_pose.matching.key_points import SiftMatcher
 
 _SIDE = 400.0  # longer side of the frames that are compared, pixels
 _MOVED = 1e-3  # share of the longer side: about 0.05 degrees, from which a camera has moved
 _INLIER = 1.0  # largest error of a match, pixels of the compared frames
+_STAYS = 0.15  # share of the matches that stay against a motion: it is an object's
 _AGREE, _LEAST = 0.5, 20  # least share and number of matches that agree with a motion
 
 
@@ -56,11 +58,22 @@ def _motions(frames: list[Image]) -> np.ndarray:
         matches = matcher.match(small[0], frame).matches
         if len(matches) < _LEAST:
             continue
-        similarity, agrees = cv2.estimateAffinePartial2D(
-            matches.points1, matches.points2, ransacReprojThreshold=_INLIER
-        )
-        if similarity is None or agrees.sum() < max(_LEAST, _AGREE * len(matches)):
+        stays = np.linalg.norm(matches.points2 - matches.points1, axis=1) < _INLIER
+        similarity, agrees = _similarity(matches)
+        if similarity is not None and (stays & ~agrees).mean() > _STAYS:
+            similarity, agrees = _similarity(matches.subset(stays))
+        elif agrees.sum() < max(_LEAST, _AGREE * len(matches)):
+            continue
+        if similarity is None:
             continue
         moved = places @ similarity[:, :2].T + similarity[:, 2]
         moves[number] = (moved - places) / max(width, height)
     return moves
+
+
+def _similarity(matches: Matches) -> tuple[np.ndarray | None, np.ndarray]:
+    """The motion (2, 3) that most matches agree with, and which do (N,); None without one."""
+    found, agrees = cv2.estimateAffinePartial2D(
+        matches.points1, matches.points2, ransacReprojThreshold=_INLIER
+    )
+    return found, np.ravel(agrees).astype(bool)

@@ -10,12 +10,13 @@ import pytest
 from PIL import ExifTags
 from scipy.spatial.transform import Rotation
 
-from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.camera import Camera, colmap_camera
+from dgc_pose.cameras.colmap_camera import RADIAL, Distortion
 from dgc_pose.localization.location import DatabaseImage, Location
 from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.model import Model, load_model, upright_model
-from dgc_pose.rigs.adjustment import adjusted, extended
+from dgc_pose.rigs.adjustment import adjusted, bundle_camera, extended, start_camera
 
 CAMERA = Camera(np.array([[700.0, 0, 410], [0, 700, 290], [0, 0, 1]]), (800, 600))
 NOISE_PX, STDS = 0.1, np.repeat([5e-4, 3e-3], 3)  # of the located poses: radians and units
@@ -147,3 +148,14 @@ def test_photographs_with_one_file_name_keep_their_poses(tmp_path: Path, folder:
     whole, _ = extended(load_model(tmp_path / "sparse", tmp_path / "images"), {}, {})
     found = {image.name: number for number, image in whole.images.items() if image.has_pose}
     assert found == {f"walk/{name}": n for n, name in enumerate(names[1:], start=2)}
+
+
+@pytest.mark.parametrize("fy", [700.0, 702.0])
+def test_a_radial_lens_stays_one_with_two_focal_lengths(fy: float) -> None:
+    """COLMAP holds it as OPENCV then, whose first coefficient could not be open."""
+    K = np.array([700.0, fy, 399.5, 299.5])
+    camera = Camera(K, (800, 600), Distortion(RADIAL, (-0.1, 0.02)), lens_std=0.1)
+    start = start_camera(colmap_camera(camera, "door"))
+    assert start.distortion == camera.distortion
+    np.testing.assert_allclose(start.K, camera.K)
+    assert bundle_camera(start, camera).basis.shape[1] == 2

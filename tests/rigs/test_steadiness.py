@@ -42,6 +42,14 @@ def test_a_camera_that_stands_still_keeps_all_frames(motion: tuple[float, float,
     assert steady_frames(frames) == (frames, "")
 
 
+def test_a_board_that_fills_most_of_the_picture_is_not_the_camera() -> None:
+    frames = frames_at(STILL, STILL, STILL, STILL, STILL)
+    board = texture((400, 340), 7)[..., None]
+    for number, frame in enumerate(frames.values()):
+        frame.pixels[:340, 20 + 12 * number : 420 + 12 * number] = board
+    assert steady_frames(frames) == (frames, "")
+
+
 @pytest.mark.parametrize(
     ("motion", "share"),
     [((3.0, 0, 0), 0.5), ((0, -30.0, 0), 5), ((0, 0, 1.0), 0.525), ((150.0, 0, 0), 25)],
