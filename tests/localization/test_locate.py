@@ -127,7 +127,7 @@ def test_a_wrong_K_of_the_query_gives_way_and_is_told(tmp_path, monkeypatch) -> 
     assert location.camera.focal == pytest.approx(225, rel=0.05)
     (warning,) = location.warnings
     assert warning.startswith("query: the matches agree with f = ")
-    assert warning.endswith(", and K states 452")
+    assert warning.endswith(", and K states 452; the location is without this K")
     assert [camera.focal_source for camera in cameras[:3]] == ["given", "given", "size"]
     assert len(cameras) == 2 + len(location.database_images)
 
