@@ -178,16 +178,24 @@ def rig_text(found: Rig) -> str:
 
     unit = found.metric.get("unit", "")
     lines = []
-    for name, of in found.cameras.items():
-        if of.centre is None or of.camera is None:
-            lines.append(f"{name}: not placed: {of.reason}")
+    for name, location in found.cameras.items():
+        if location.centre is None or location.camera is None:
+            lines.append(f"{name}: not placed: {location.reason}")
             continue
-        likely = "" if of.probability is None else f", probability {percent_text(of.probability)}"
-        centre = f"{row_lines(of.centre)[0]} +- {of.position_error_90:.2g} {unit}".rstrip()
-        focal = f"f = {of.camera.focal:.1f} px"
-        turn = f"R +- {of.rotation_error_90_deg:.2f} deg"
+        likely = (
+            ""
+            if location.probability is None
+            else f", probability {percent_text(location.probability)}"
+        )
+        centre = (
+            f"{row_lines(location.centre)[0]} +- {location.position_error_90:.2g} {unit}".rstrip()
+        )
+        focal = f"f = {location.camera.focal:.1f} px"
+        turn = f"R +- {location.rotation_error_90_deg:.2f} deg"
         lines.append(f"{name}: centre {centre}, {turn}, {focal}{likely}")
-    told = [f"{name}: {text}" for name, of in found.cameras.items() for text in of.warnings]
+    told = [
+        f"{name}: {text}" for name, location in found.cameras.items() for text in location.warnings
+    ]
     lines += [f"warning: {warning}" for warning in (*found.warnings, *told)]
     lines += [f"{fact.replace('_', ' ')}: {value}" for fact, value in found.metric.items()]
     return "\n".join(map(printable, lines))

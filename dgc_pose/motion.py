@@ -29,7 +29,6 @@ from dgc_pose.estimation.picture_motion import (
     at_rest,
     fitted,
     how_far_px,
-    pictured,
     quantile,
 )
 from dgc_pose.geometry.epipolar import unit_rays
@@ -70,7 +69,7 @@ class CameraMotion:
     """The motion of a camera since the reference picture.
 
     Nine in ten errors stay below the stated ones, if the scene has depth: before a flat wall, a
-    shift is told as a rotation or a zoom. How far the picture moves holds for points at the median
+    shift appears as a rotation or a zoom. How far the picture moves holds for points at the median
     depth of the matched scene.
 
     Attributes:
@@ -305,7 +304,7 @@ def _decided(matched: FixedMatches) -> tuple[MotionFit, bool, str]:
     moves, errors = _degrees(matched, fit)
     stay = _stay(matched, fit)
     stays = float(weights @ stay / weights.sum())
-    against = _against(matched, fit, stay)
+    against, _ = _against(matched, fit, stay)
     has_changed = _exceeds(fit, moves, errors)
     has_changed |= quantile(moves, fit.agree, _MOST) > STILL_DEG and stays < _NOTHING
     doubt = _hood(matched, fit, stay) if has_changed else ""
@@ -318,20 +317,20 @@ def _decided(matched: FixedMatches) -> tuple[MotionFit, bool, str]:
     return fit, has_changed, ""
 
 
-def _against(matched: FixedMatches, minimum: Minimum, stay: np.ndarray) -> float:
-    """The share of the matched picture that stays (N,) although a motion would move it."""
-    moves = how_far_px(minimum.motion, matched.points1, matched.camera)
+def _against(matched: FixedMatches, minimum: Minimum, stay: np.ndarray) -> tuple[float, np.ndarray]:
+    """The share of the matched picture that stays (N,) although a motion would move it; and how far
+    it would move the matches, pixels (N,)."""
+    moves, _ = how_far_px(minimum.motion, matched.points1, matched.camera)
     against = stay & (moves > 2 * _STAYS * minimum.std)
-    return float(matched.weights @ against / matched.weights.sum())
+    return float(matched.weights @ against / matched.weights.sum()), moves
 
 
 def _hood(matched: FixedMatches, minimum: Minimum, stay: np.ndarray) -> str:
     """Why a camera may have moved behind a lens hood that stays (N,), or ""."""
-    against = _against(matched, minimum, stay)
+    against, moves = _against(matched, minimum, stay)
     share = float(minimum.agree.sum() / matched.weights.sum())
     if against <= _STAY or share <= min(_MAJORITY, FAR_MORE * against):
         return ""
-    moves = how_far_px(minimum.motion, matched.points1, matched.camera)
     angle = math.degrees(quantile(moves, minimum.agree, _MOST) / matched.camera.focal)
     both = f"moves by {angle:.3g} deg, and {100 * against:.0f} % stays"
     return f"{100 * share:.0f} % of the matched picture {both}"
@@ -364,13 +363,13 @@ def _moves(
     errors in nine cases of ten (N,), pixels; without `zooms` by the rotation and the shift alone.
     """
     motion = fit.motion if zooms else replace(fit.motion, log_zoom=0.0)
-    _, slopes = pictured(points, camera, motion)
+    moves, slopes = how_far_px(motion, points, camera)
     if not zooms:
         slopes[..., ZOOM] = 0.0
         if not motion.t.any():  # a shift forward without parallax counts as the zoom it looks like
             slopes[..., FORWARD] = 0.0
     errors = NORMAL_90 * np.sqrt(np.einsum("nki,ij,nkj->n", slopes, fit.covariance, slopes))
-    return how_far_px(motion, points, camera), np.nan_to_num(errors)
+    return moves, np.nan_to_num(errors)
 
 
 def _common_rotation(matched: FixedMatches) -> np.ndarray:

@@ -299,7 +299,7 @@ def _pooled(camera: Camera, value: np.ndarray, std: np.ndarray, fitted: bool) ->
     moved = with_parameters(camera, value / [1, camera.focal, camera.focal, 1, 1, 1])
     if fitted and std[0]:
         moved = replace(moved, focal_source="matches", focal_prior=None)
-    known = moved.with_deviations(np.diag((std / [1, moved.focal, moved.focal, 1, 1, 1]) ** 2))
+    known = moved.with_deviations((std / [1, moved.focal, moved.focal, 1, 1, 1]) ** 2)
     return replace(known, centre_std=known.centre_std or camera.centre_std)
 
 

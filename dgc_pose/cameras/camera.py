@@ -153,10 +153,10 @@ class Camera:
         """The camera without its standard deviations."""
         return replace(self, focal_std=0.0, centre_std=0.0, lens_std=0.0, aspect_std=0.0)
 
-    def with_deviations(self, covariance: np.ndarray) -> Camera:
-        """The camera with the standard deviations of a covariance (6, 6) of its parameters, see
-        `estimation.intrinsics_prior`."""
-        focal, x, y, lens, _, aspect = np.sqrt(covariance.diagonal().clip(min=0)).tolist()
+    def with_deviations(self, variances: np.ndarray) -> Camera:
+        """The camera with the standard deviations of its parameters, see
+        `estimation.intrinsics_prior`. variances: (6,), of a covariance of these."""
+        focal, x, y, lens, _, aspect = np.sqrt(variances.clip(min=0)).tolist()
         return replace(
             self,
             focal_std=focal,

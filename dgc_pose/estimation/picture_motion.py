@@ -32,7 +32,7 @@ _NOTHING = slice(0, 0)
 _DEPTH_STD, _SHIFT_STD, _ZOOM_STD = 0.5, 0.1, 0.1  # standard deviations of rho; priors of t, zoom
 _NOISE = 0.16, 0.5  # bounds of the standard deviation of a match, over its expected error
 _INLIER, _OUTLIER = 3.6, 8.0  # largest errors, in standard deviations
-_OUTLIER_LOSS = 4.0  # largest loss of a match: an outlier tells nothing of a motion
+_OUTLIER_LOSS = 4.0  # largest loss of a match: an outlier determines no motion
 FAR_MORE = 1.5  # times the part of the picture that agrees
 _STEPS, _CONVERGED = 20, 0.01  # the second: of the loss, and of the standard deviation, relative
 _MOST_Z = 4.0  # standard deviations by which a camera may deviate
@@ -193,7 +193,7 @@ def _covariance(matched: FixedMatches, fit: Minimum) -> np.ndarray:
     terms = terms[some]
     points = np.repeat(matched.points1, 2, axis=0)[some]
     information = terms[:, : size**2].sum(0).reshape(size, size) + np.diag(_prior(size - NUMBER))
-    # What the spread of the parallax says of t.
+    # The spread of the parallax determines t, too.
     by_shift = pictured(matched.points1[inliers], matched.camera, fit.motion)[1][..., SHIFT]
     weights = matched.weights[inliers]
     squares = np.einsum("n,nki,nkj->ij", weights / weights.sum(), by_shift, by_shift)
@@ -253,11 +253,12 @@ def pictured(points1: np.ndarray, camera: Camera, motion: Motion) -> tuple[np.nd
     return seen, slopes
 
 
-def how_far_px(motion: Motion, points: np.ndarray, camera: Camera) -> np.ndarray:
-    """How far points of the picture (N, 2) move at the median depth, pixels (N,)."""
+def how_far_px(motion: Motion, points: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """How far points of the picture (N, 2) move at the median depth, pixels (N,); and the
+    derivatives of `pictured`."""
     seen, slopes = pictured(points, camera, motion)
     moves = np.linalg.norm(seen + slopes[..., SHIFT] @ motion.t - points, axis=1)
-    return np.nan_to_num(moves)
+    return np.nan_to_num(moves), slopes
 
 
 def _changed(camera: Camera, z: np.ndarray) -> Camera:

@@ -232,7 +232,7 @@ def _calibrated(camera: Camera, covariance: np.ndarray) -> tuple[Camera, np.ndar
     principal point in pixels, to the raw deviations of its parameters, 0 for exact ones."""
     if camera.exact:
         return camera, np.zeros(SIZE)
-    raw = camera.with_deviations(covariance)
+    raw = camera.with_deviations(covariance.diagonal())
     factor = calibrated_focal_std(raw.focal_std) / raw.focal_std if raw.focal_std else 1.0
     calibrated = replace(
         camera,

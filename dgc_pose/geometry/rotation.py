@@ -56,3 +56,8 @@ def aligning_rotation(rays1: np.ndarray, rays2: np.ndarray) -> np.ndarray:
     u, _, vt = np.linalg.svd(rays2.T @ rays1)
     u[:, 2] *= np.linalg.det(u) * np.linalg.det(vt)  # a rotation, not a reflection
     return u @ vt
+
+
+def camera_centres(poses: np.ndarray) -> np.ndarray:
+    """Positions (N, 3), world, of cameras with cam_from_world poses (N, 3, 4)."""
+    return -np.einsum("nji,nj->ni", poses[:, :, :3], poses[:, :, 3])

@@ -45,6 +45,17 @@ class WorldPose:
         )
 
 
+def pose_slopes(
+    slopes: np.ndarray, tangent: np.ndarray, t: np.ndarray, R: np.ndarray, length: float
+) -> np.ndarray:
+    """The derivatives (N, 6) by the pose of camera 2 in the world, a rotation vector and the
+    centre, from those of `error_slopes` by the pose of the pair. t: of the pair, for centres at a
+    distance of `length`. R: (3, 3) cam_from_world of camera 2."""
+    # t rotates with R, moves with the centre, and changes only across its own direction.
+    by_t = slopes[:, 3:5] @ tangent.T
+    return np.hstack([slopes[:, :3] - by_t @ skew(t), -by_t @ R / length])
+
+
 @dataclass(frozen=True, eq=False)
 class PairCorrespondences:
     """The matches of a reference (image 1), a database image, with the photograph (image 2)."""
@@ -92,11 +103,8 @@ class PairCorrespondences:
         problem = replace(self.problem, points2=_unskewed(self.problem.points2, pose))
         error, slopes, tangent = error_slopes(problem, R, t, prior, parameters)
         length = max(float(np.linalg.norm(self.centre - pose.centre)), 1e-12)
-        # t rotates with R, moves with the centre, and changes only across its own direction.
-        by_t = slopes[:, 3:5] @ tangent.T
-        by_rotation = slopes[:, :3] - by_t @ skew(t)
-        by_centre = -by_t @ pose.R / length
-        return error, np.hstack([by_rotation, by_centre, slopes[:, 5:]])
+        by_pose = pose_slopes(slopes, tangent, t, pose.R, length)
+        return error, np.hstack([by_pose, slopes[:, 5:]])
 
     def pair_pose(self, pose: WorldPose) -> tuple[np.ndarray, np.ndarray]:
         """R and unit t of the photograph relative to the reference; any t at distance 0."""

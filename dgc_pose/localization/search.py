@@ -137,7 +137,7 @@ class LocationSearch:
         self.fitted = with_parameters(self.camera, found.parameters)
         if len(prior):
             of_cameras = prior.basis @ self.covariance[6:, 6:] @ prior.basis.T
-            known = self.fitted.with_deviations(of_cameras[SIZE:, SIZE:])
+            known = self.fitted.with_deviations(of_cameras.diagonal()[SIZE:])
             self.fitted = replace(known, focal_source="matches", focal_prior=None)
 
     @property

@@ -22,6 +22,7 @@ from dgc_pose.estimation.intrinsics_prior import (
 )
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.pixels import turn_points
+from dgc_pose.geometry.rotation import camera_centres
 from dgc_pose.localization.location import Location
 from dgc_pose.model import HALF_PIXEL, Model
 from dgc_pose.rigs.bundle import Bundle, BundleCamera, Matched, Observed, minimised
@@ -44,7 +45,10 @@ def extended(
     The other images get the prefix `walk/`; those without a file, which `model` lacks, lose their
     pose. pictures: of the cameras, by name.
     """
-    views = {pictures[name]: (of.camera, of.cam_from_world) for name, of in located.items()}
+    views = {
+        pictures[name]: (location.camera, location.cam_from_world)
+        for name, location in located.items()
+    }
     whole = model.extended(
         {p: (c, pose) for p, (c, pose) in views.items() if c and pose is not None}
     )
@@ -75,14 +79,10 @@ def adjusted(
     whole, numbers = extended(model, located, pictures)
     start = _Start(model, whole, numbers.values())
     walk = [number for number in start.index if number not in numbers.values()]
-    priors = {
-        image.name.removeprefix(WALK): stated[image.name.removeprefix(WALK)]
-        for image in (whole.images[number] for number in walk)
-    }
     observed = start.known_observed(walk)
     for name, location in located.items():
         observed += start.observed(numbers[name], location)
-    placed = _adjusted(start, located, numbers, observed, priors, walk)
+    placed = _adjusted(start, located, numbers, observed, stated, walk)
     return whole, numbers, placed
 
 
@@ -98,8 +98,7 @@ def adjusted_own(
     numbers = {name: by_file[pictures[name].name] for name in located}
     start = _Start(model, model.colmap)
     every = [*start.index]
-    priors = {name: stated[name] for name in model.poses}
-    placed = _adjusted(start, located, numbers, start.known_observed(every), priors, every)
+    placed = _adjusted(start, located, numbers, start.known_observed(every), stated, every)
     return model.colmap, numbers, placed
 
 
@@ -108,26 +107,26 @@ def _adjusted(
     located: Mapping[str, Location],
     numbers: Mapping[str, int],
     observed: Sequence[Observed],
-    priors: Mapping[str, Camera],
+    stated: Mapping[str, Camera],
     fixing: Sequence[int],
 ) -> dict[str, Location]:
     """Adjust the model of `start`, and return the located cameras.
 
-    numbers: their image ids. priors: cameras of other upright images as stated, by name. fixing:
-    ids of the images that determine the frame.
+    numbers: their image ids. stated: cameras of the model's upright images as stated, by name.
+    fixing: ids of the images that determine the frame.
     """
-    stated = start.stated(priors)
+    priors = start.stated(stated)
     matched = dict[frozenset[int], Matched]()  # once, for two located cameras
     for name, location in located.items():
         for part in start.matched(numbers[name], location):
             matched.setdefault(frozenset(part.images), part)
         if location.stated is not None:
-            stated[start.camera_of[start.index[numbers[name]]]] = location.stated
+            priors[start.camera_of[start.index[numbers[name]]]] = location.stated
     bundle = Bundle(
-        [bundle_camera(camera, stated.get(n, camera)) for n, camera in enumerate(start.cameras)],
+        [bundle_camera(camera, priors.get(n, camera)) for n, camera in enumerate(start.cameras)],
         start.camera_of,
         start.poses[:, :, :3],
-        -np.einsum("nji,nj->ni", start.poses[:, :, :3], start.poses[:, :, 3]),
+        camera_centres(start.poses),
         start.points,
         observed,
         [*matched.values()],
@@ -135,11 +134,15 @@ def _adjusted(
     )
     fit = minimised(bundle)
     covariance = _ERROR_FACTOR**2 * fit.covariance()
-    start.write(fit.bundle, {start.index[number] for number in {*numbers.values()} - {*fixing}})
-    return {
-        name: _placed(location, fit.bundle, start, start.index[numbers[name]], covariance)
-        for name, location in located.items()
-    }
+    cameras = start.final_cameras(fit.bundle)
+    added = {start.index[number] for number in {*numbers.values()} - {*fixing}}
+    start.write(fit.bundle, cameras, added)
+    placed = {}
+    for name, location in located.items():
+        number = start.index[numbers[name]]
+        changed = cameras[start.camera_of[number]]
+        placed[name] = _placed(location, fit.bundle, number, changed, covariance, start.extent)
+    return placed
 
 
 class _Start:
@@ -179,11 +182,12 @@ class _Start:
         return self.cameras[self.camera_of[number]]
 
     def stated(self, cameras: Mapping[str, Camera]) -> dict[int, Camera]:
-        """By their numbers, cameras of upright images, by name, for the pixels as stored."""
+        """By their numbers, the cameras of the model's images, for the pixels as stored. cameras:
+        of the upright images, by name."""
         found: dict[int, Camera] = {}
-        for name, camera in cameras.items():
-            turned = camera.turned(*to_stored(self._model.root / name))
-            found.setdefault(self.camera_of[self._by_name[name]], turned)
+        for name, number in self._by_name.items():
+            turned = cameras[name].turned(*to_stored(self._model.root / name))
+            found.setdefault(self.camera_of[number], turned)
         return found
 
     def known_observed(self, image_ids: Collection[int]) -> list[Observed]:
@@ -242,13 +246,14 @@ class _Start:
             for camera, fitted in zip(self.cameras, bundle.cameras, strict=True)
         ]
 
-    def write(self, bundle: Bundle, added: Collection[int]) -> None:
-        """Change the model to the adjusted one, with the observations of the pictures `added`."""
+    def write(self, bundle: Bundle, cameras: Sequence[Camera], added: Collection[int]) -> None:
+        """Change the model to the adjusted one. cameras: from `final_cameras`. added: the pictures
+        whose observations are new."""
         for number, image in enumerate(self._images):
             R = bundle.R[number]
             pose = pycolmap.Rigid3d(pycolmap.Rotation3d(R), -R @ bundle.centres[number])
             self._whole.frames[image.frame_id].rig_from_world = pose
-        for number, camera in zip(self._ids, self.final_cameras(bundle), strict=True):
+        for number, camera in zip(self._ids, cameras, strict=True):
             theirs = colmap_camera(camera, self._whole.cameras[number].model.name)
             self._whole.cameras[number].model = theirs.model
             self._whole.cameras[number].params = theirs.params.tolist()
@@ -293,23 +298,28 @@ def bundle_camera(start: Camera, stated: Camera) -> BundleCamera:
 
 
 def _placed(
-    location: Location, bundle: Bundle, start: _Start, number: int, covariance: np.ndarray
+    location: Location,
+    bundle: Bundle,
+    number: int,
+    changed: Camera,
+    covariance: np.ndarray,
+    extent: float,
 ) -> Location:
-    """The location of picture `number` after the adjustment. covariance: of all columns."""
+    """The location of picture `number` after the adjustment, which changed its camera. covariance:
+    of all columns. extent: of the model."""
     fitted = bundle.cameras[bundle.camera_of[number]]
     assumed = location.camera
     assert assumed is not None and location.covariance is not None  # of a location
-    changed = with_parameters(start.camera(number), fitted.parameters)
     camera = replace(assumed, K=changed.K, distortion=changed.distortion)
     if not assumed.exact:
         own = bundle.camera_columns(number)
         variances = (fitted.basis @ covariance[np.ix_(own, own)] @ fitted.basis.T).diagonal()
         most = np.square(fitted.basis).sum(axis=1)  # what was stated is not widened
-        camera = camera.with_deviations(np.diag(np.minimum(variances, most)))
+        camera = camera.with_deviations(np.minimum(variances, most))
     pose = bundle.columns[number]
     by_pose = covariance[np.ix_(pose, pose)] * (_EXACT_FACTOR**2 if assumed.exact else 1.0)
     return replace(
-        location.with_covariance(by_pose, start.extent),
+        location.with_covariance(by_pose, extent),
         R=bundle.R[number],
         centre=bundle.centres[number],
         camera=camera,

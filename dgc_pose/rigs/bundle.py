@@ -34,8 +34,8 @@ from dgc_pose.estimation.least_squares import (
     loss_width,
 )
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.geometry.epipolar import depths, skew
-from dgc_pose.localization.correspondences import PointCorrespondences, WorldPose
+from dgc_pose.geometry.epipolar import depths
+from dgc_pose.localization.correspondences import PointCorrespondences, WorldPose, pose_slopes
 from dgc_pose.localization.fit import even_sample
 from dgc_pose.system.parallel import one_blas_thread
 
@@ -224,11 +224,9 @@ def _rows_of_pair(bundle: Bundle, part: Matched) -> _Rows:
     both[SIZE:, bases[0].shape[1] :] = bases[1]
     R, t, length, parameters = bundle.pair(part)
     error, slopes, tangent = error_slopes(part.problem, R, t, IntrinsicsPrior(both), parameters)
-    # t rotates with the second picture, and changes across its own direction only.
-    by_t = slopes[:, 3:5] @ tangent.T
-    by_turn = slopes[:, :3] - by_t @ skew(t)
-    by_centre = by_t @ bundle.R[second] / length  # of the first picture
-    parts = [-slopes[:, :3] @ R, by_centre, by_turn, -by_centre, slopes[:, 5:]]
+    by_second = pose_slopes(slopes, tangent, t, bundle.R[second], length)
+    # The pair depends on the difference of the centres.
+    parts = [-slopes[:, :3] @ R, -by_second[:, 3:], by_second, slopes[:, 5:]]
     columns = [*bundle.columns[first], *bundle.columns[second]]
     columns += [*bundle.camera_columns(first), *bundle.camera_columns(second)]
     seen = part.problem.points2

@@ -12,7 +12,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.formats.rigs import CALIBRATION, rig_texts
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation.result import plain
-from dgc_pose.geometry.rotation import aligning_rotation, rotation_angle_deg
+from dgc_pose.geometry.rotation import aligning_rotation, camera_centres, rotation_angle_deg
 from dgc_pose.localization.location import Location
 from dgc_pose.system.files import write_text
 from dgc_pose.system.texts import json_text
@@ -121,10 +121,12 @@ def compared(
         raise InputError(ArgumentName("start"), count)
     located = [cameras[name] for name in names]
     old = np.stack([start[name] for name in names])
-    new = np.stack([pose for of in located if (pose := of.cam_from_world) is not None])
-    expected = [(of.rotation_error_90_deg or 0, of.position_error_90 or 0) for of in located]
+    new = np.stack([pose for place in located if (pose := place.cam_from_world) is not None])
+    expected = [
+        (place.rotation_error_90_deg or 0, place.position_error_90 or 0) for place in located
+    ]
     errors = np.array(expected, dtype=float)  # (N, 2)
-    extent = max(float(np.linalg.norm(a - b)) for a, b in combinations(_centres(new), 2))
+    extent = max(float(np.linalg.norm(a - b)) for a, b in combinations(camera_centres(new), 2))
     first = names[0] if len(names) == 2 else None
     if first:
         errors[1] = np.linalg.norm(errors, axis=0)
@@ -194,15 +196,11 @@ def _unmoved(old: np.ndarray, new: np.ndarray, limits: np.ndarray) -> list[int]:
 def _changes(old: np.ndarray, new: np.ndarray, still: Sequence[int]) -> np.ndarray:
     """Angle in degrees and distance (N, 2) between the poses (N, 3, 4) of two calibrations, aligned
     by a similarity of the cameras `still`. With a single one, all cameras determine the scale."""
-    before, after = _centres(old), _centres(new)
+    before, after = camera_centres(old), camera_centres(new)
     scaled = still if len(still) > 1 else range(len(old))
     spread = [np.linalg.norm(at[scaled] - at[scaled].mean(0)) for at in (before, after)]
-    W = aligning_rotation(*(of[still, :, :3].reshape(-1, 3) for of in (old, new)))
+    W = aligning_rotation(*(poses[still, :, :3].reshape(-1, 3) for poses in (old, new)))
     expected = spread[1] / (spread[0] or 1.0) * (before - before[still].mean(0)) @ W.T
     shifts = np.linalg.norm(after - after[still].mean(0) - expected, axis=1)
     turns = new[:, :, :3] @ W @ old[:, :, :3].transpose(0, 2, 1)
     return np.column_stack([[rotation_angle_deg(turn) for turn in turns], shifts])
-
-
-def _centres(poses: np.ndarray) -> np.ndarray:
-    return -np.einsum("nji,nj->ni", poses[:, :, :3], poses[:, :, 3])

@@ -88,7 +88,7 @@ class Rig:
     @property
     def placed(self) -> dict[str, Location]:
         """The cameras with a pose, by name."""
-        return {name: of for name, of in self.cameras.items() if of.success}
+        return {name: place for name, place in self.cameras.items() if place.success}
 
 
 def estimate_rig(
@@ -380,7 +380,7 @@ def _same_poses(cameras: Mapping[str, Location], unit: str) -> tuple[str, ...]:
         angle = rotation_angle_deg(one.R @ two.R.T)
         apart = float(np.linalg.norm(one.centre - two.centre))
         turn, shift = (
-            sum(getattr(of, error) or 0.0 for of in (one, two))
+            sum(getattr(location, error) or 0.0 for location in (one, two))
             for error in ("rotation_error_90_deg", "position_error_90")
         )
         if angle < turn and apart < shift:

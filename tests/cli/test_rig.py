@@ -146,17 +146,23 @@ def test_cameras_are_named_as_their_files(folder: Path, monkeypatch: pytest.Monk
             np.testing.assert_allclose(R, location.R @ located["door.v2"].R.T, atol=1e-9)
 
 
+def lines_of_changes(folder: Path, before: dict[str, Location], file: str) -> list[str]:
+    """The lines of the command about three cameras since the rig `before`, by one of its files."""
+    (folder / "before").mkdir()
+    write_rig(folder / "before", before, {"unit": "m"})
+    result = run("rig", "frames", "--out", "out", "--start", f"before/{file}")
+    assert result.exit_code == 0, result.output
+    lines: list[str] = result.stdout.splitlines()[-3:]
+    return lines
+
+
 def test_start_tells_that_two_cameras_changed_places(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     estimated(monkeypatch)
     found = cameras()
     before = found | {"view0": found["view2"], "view2": found["view0"]}
-    (folder / "before").mkdir()
-    write_rig(folder / "before", before, {"unit": "m"})
-    result = run("rig", "frames", "--out", "out", "--start", "before/rig.json")
-    assert result.exit_code == 0, result.output
-    first, second, third = result.stdout.splitlines()[-3:]
+    first, second, third = lines_of_changes(folder, before, "rig.json")
     assert first.startswith("view0 is where view2 was, to 0.000 +- 0.143 deg")
     assert second.startswith("view1 has not moved")
     assert third.startswith("view2 is where view0 was, to 0.000 +- 0.143 deg")
@@ -165,11 +171,7 @@ def test_start_tells_that_two_cameras_changed_places(
 
 def test_start_tells_which_camera_moved(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     estimated(monkeypatch)
-    (folder / "before").mkdir()
-    write_rig(folder / "before", cameras("view2"), {"unit": "m"})
-    result = run("rig", "frames", "--out", "out", "--start", "before/calibration.toml")
-    assert result.exit_code == 0, result.output
-    first, second, third = result.stdout.splitlines()[-3:]
+    first, second, third = lines_of_changes(folder, cameras("view2"), "calibration.toml")
     assert first.startswith("view0 has not moved: by 0.000 +- 0.143 deg")
     assert second.startswith("view1 has not moved")
     assert third.startswith("view2 moved: by 2.000 +- 0.143 deg")
