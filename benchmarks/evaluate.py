@@ -45,9 +45,11 @@ def score(
     if pose.success and pose.R is not None and pose.t is not None:  # R without t is a failure
         rotation = rotation_error_deg(pose.R, pair.R)
         translation = translation_error_deg(pose.t, pair.t)
-    focal_errors, focal_stds = [np.nan, np.nan], [np.nan, np.nan]
+    focal_errors = [np.nan, np.nan]
+    focal_stds = [np.nan, np.nan]
     if pose.camera1 is not None and pose.camera2 is not None:
-        fitted, true = (pose.camera1, pose.camera2), (pair.camera1, pair.camera2)
+        fitted = (pose.camera1, pose.camera2)
+        true = (pair.camera1, pair.camera2)
         focal_errors = [float(np.log(a.focal / b.focal)) for a, b in zip(fitted, true, strict=True)]
         focal_stds = [camera.focal_std for camera in fitted]
     return {

@@ -56,7 +56,8 @@ _HOLDS = math.log(MIN_FOLDER_PROBABILITY / (1 - MIN_FOLDER_PROBABILITY))
 _FRAMES = 13  # of a posed scene, evenly spread
 _STEPS = (2, 3)  # every second and third of these frames are small folders of their own
 _LANDS_PX = 8.0  # largest distance of a right inlier from its true point
-_RIGHT_DEG, _LEAST_BASELINE = 10.0, 0.1  # the baseline over the depth, from which t counts
+_RIGHT_DEG = 10.0
+_LEAST_BASELINE = 0.1  # over the depth, from which t counts
 # Folder of images, their cameras by name, and a function: whether the pose of a pair is right
 Folder = tuple[Path, Mapping[str, Camera], Callable[[MatchedPair], bool]]
 # For the pairs with a pose: values (n, 3) of `evidence_of_pairs`, whether each pair is right (n,),
@@ -92,8 +93,10 @@ def rendered_folder(
     kind: str, photos: Photos, seed: int, shape: Shape = (480, 640)
 ) -> dict[str, View]:
     """Render a folder of one of `KINDS`, textured with photos: views by name, in random order."""
-    make, draw = _Maker(np.random.default_rng([seed, *kind.encode()])), Draw("cpu", kind, seed)
-    focal, views = make.between(0.66, 0.84) * shape[1], list[View]()
+    make = _Maker(np.random.default_rng([seed, *kind.encode()]))
+    draw = Draw("cpu", kind, seed)
+    focal = make.between(0.66, 0.84) * shape[1]
+    views = list[View]()
     K = _floats([[focal, focal, (shape[1] - 1) / 2, (shape[0] - 1) / 2]])
     for name, (boxes, centres, targets) in zip("AB", getattr(make, kind)(), strict=False):
         centre, half, yaw, seeds = (np.array(values) for values in zip(*boxes, strict=True))
@@ -120,12 +123,14 @@ class _Maker:
     """Makes random boxes. The method with the name of a kind makes the parts of its folder."""
 
     def __init__(self, rng: np.random.Generator) -> None:
-        self.rng, self.between = rng, rng.uniform
+        self.rng = rng
+        self.between = rng.uniform
 
     def boxes(self, count: int, halves: _Range, feet: _Range, yaw: float = 0) -> list[_Box]:
         """feet: range of the middles of the lower faces; yaw: largest, in either direction."""
         sizes, places = (self.between(*of, (count, 3)) for of in (halves, feet))
-        turns, seeds = self.between(-yaw, yaw, count), self.rng.random(count)
+        turns = self.between(-yaw, yaw, count)
+        seeds = self.rng.random(count)
         return [*map(_Box, places - sizes * (0, 1, 0), sizes, turns, seeds)]
 
     def box(self, foot: _Values, half: _Values) -> list[_Box]:
@@ -134,7 +139,9 @@ class _Maker:
     def rooms(self) -> list[_Part]:
         """Two rooms with the same back wall and the same objects in front of it."""
         wide, y, deep = walls = self.between((2.0, 1.2, 2.0), (2.8, 1.5, 2.8))
-        x, alike, parts = wide - 0.5, self.box((0, y, deep), (wide, y, 0.01)), list[_Part]()
+        x = wide - 0.5
+        alike = self.box((0, y, deep), (wide, y, 0.01))
+        parts = list[_Part]()
         feet = (-x, y, deep - 0.6), (x, y, deep - 0.3)
         alike += self.boxes(4, ((0.15, 0.1, 0.1), (0.5, 0.7, 0.3)), feet, 0.2)
         for _ in range(2):
@@ -160,7 +167,8 @@ class _Maker:
 
     def tower(self) -> list[_Part]:
         """A tower with four equal sides, and a path around it."""
-        y, wide = 6.0, self.between(0.9, 1.3)
+        y = 6.0
+        wide = self.between(0.9, 1.3)
         side = self.box((0, y, wide / 2), (wide - 0.01, 3, wide / 2))
         side += self.box((wide, y, wide), (0.2, 2, 0.2))
         side += self.box((0, y - 1.6, wide), self.between((0.3, 0.4, 0.1), (0.5, 0.7, 0.1)))
@@ -179,8 +187,11 @@ class _Maker:
 
     def shelf(self) -> list[_Part]:
         """A shelf with five copies of the same goods, some missing in each, and a path along it."""
-        period, z, goods = self.between(1.8, 2.6), 2.6, list[_Box]()
-        boxes, x = self.box((0, 2.2, 0), (9, 2.2, 3)), period / 2
+        period = self.between(1.8, 2.6)
+        z = 2.6
+        goods = list[_Box]()
+        boxes = self.box((0, 2.2, 0), (9, 2.2, 3))
+        x = period / 2
         for y in (-0.7, 0.1, 0.9):
             boxes += self.box((0, y + 0.06, z + 0.15), (6.5, 0.03, 0.25))
             goods += self.boxes(5, ((0.1, 0.15, 0.1), (0.2, 0.3, 0.2)), ((-x, y, z), (x, y, z)))
@@ -210,7 +221,8 @@ def _made(name: str, data: Path, out: Path) -> Folder:
         frames = {frame.image.name: frame for frame in read_scene(data / "posed" / name)}
         of_frames = {image: frames[image].camera for image in thinned([*frames], _FRAMES)}
         return data / "posed" / name / "images", of_frames, partial(has_right_pose, frames)
-    views, root = rendered_folder(kind, _photos(data / "photos"), int(seed)), out / "folders" / name
+    views = rendered_folder(kind, _photos(data / "photos"), int(seed))
+    root = out / "folders" / name
     root.parent.mkdir(parents=True, exist_ok=True)
     if not root.is_dir():  # newer files would make the batch match their pairs again
         with replaced_folder(root) as folder:
@@ -223,8 +235,10 @@ def _made(name: str, data: Path, out: Path) -> Folder:
 def shows_one_place(views: Mapping[str, View], pair: MatchedPair) -> bool:
     """Whether at least half of the inliers lie on one surface, by the depth of either image."""
     assert pair.row.pose is not None
-    ends, matches = [views[n] for n in pair.row.names], pair.matches.subset(pair.row.pose.inliers)
-    points, lands = (matches.points1, matches.points2), np.zeros(len(matches), bool)
+    ends = [views[n] for n in pair.row.names]
+    matches = pair.matches.subset(pair.row.pose.inliers)
+    points = (matches.points1, matches.points2)
+    lands = np.zeros(len(matches), bool)
     for k, view in enumerate(ends):
         largest = np.array(view.depth.shape[::-1]) - 1
         columns, rows = np.rint(points[k]).astype(np.int64).clip(0, largest).T
@@ -238,10 +252,13 @@ def shows_one_place(views: Mapping[str, View], pair: MatchedPair) -> bool:
 
 def has_right_pose(frames: Mapping[str, PosedFrame], pair: MatchedPair) -> bool:
     """Whether R is right, and t too unless the cameras have almost no baseline."""
-    (first, second), pose = (frames[name] for name in pair.row.names), pair.row.pose
+    first, second = (frames[name] for name in pair.row.names)
+    pose = pair.row.pose
     assert pose is not None and pose.R is not None and first.reach and second.reach
     relative = second.cam_from_world @ np.linalg.inv(first.cam_from_world)
-    R, t, depth = relative[:3, :3], relative[:3, 3], np.log([*first.reach, *second.reach]).mean()
+    R = relative[:3, :3]
+    t = relative[:3, 3]
+    depth = np.log([*first.reach, *second.reach]).mean()
     error = rotation_error_deg(pose.R, R)
     if pose.t is not None and np.linalg.norm(t) > _LEAST_BASELINE * np.exp(depth):
         error = max(error, translation_error_deg(pose.t, t))
@@ -251,7 +268,8 @@ def has_right_pose(frames: Mapping[str, PosedFrame], pair: MatchedPair) -> bool:
 def collected(name: str, data: Path, out: Path) -> dict[str, Pairs]:
     """The pairs of a folder by its name, and of every second and third photograph of a scene, as
     NAME/2 and NAME/3. Its batch and its labels are made in `out` if they are missing."""
-    folder, labels = out / "batches" / name, out / "batches" / f"{name}.npy"
+    folder = out / "batches" / name
+    labels = out / "batches" / f"{name}.npy"
     if not labels.is_file():
         root, cameras, is_right = _made(name, data, out)
         batch = run_batch(
@@ -290,7 +308,8 @@ def fit(folders: Mapping[str, Pairs]) -> str:
         others = [pairs for other, pairs in whole.items() if other != name.partition("/")[0]]
         own = own_log_odds(values, *_weights(others))
         solved = solutions(values[:, 0], own, found, agree)
-        kept, better = solved[has_repeats(solved, values)] > _HOLDS, solved[2]
+        kept = solved[has_repeats(solved, values)] > _HOLDS
+        better = solved[2]
         area = roc_auc_score(right, own) if 0 < right.sum() < len(right) else np.nan
         errors = (right & ~kept).sum(), (kept & ~right).sum()
         counts = (len(right), (~right).sum(), decimals(area, 3), decimals(better, 1), *errors)

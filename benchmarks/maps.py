@@ -113,7 +113,8 @@ def load_pair(pair: HomographyPair) -> MapPairs:
 
     Raises ImageError for an image that cannot be read.
     """
-    image1, image2 = load_image(pair.path1), load_image(pair.path2)
+    image1 = load_image(pair.path1)
+    image2 = load_image(pair.path2)
     points, valid = true_map(pair.H, image1.size, image2.size)
     truth = points.astype(np.float32)
     squares = (resize(image.pixels, (INPUT_SIZE, INPUT_SIZE)) for image in (image1, image2))
@@ -152,7 +153,8 @@ def _squaring(size: tuple[int, int]) -> np.ndarray:
 
 def _pairs_in(folder: Path) -> Iterator[HomographyPair]:
     """The pairs directly in a folder, in any of the layouts."""
-    name, found = folder.resolve().name, []  # names of pair, group, images, matrix
+    name = folder.resolve().name
+    found = []  # names of pair, group, images, matrix
     for k, viewpoint in enumerate(VIEWPOINTS, start=2):
         if folder.name.startswith("v_"):
             found.append((f"{name} 1-{k}", viewpoint, "1", f"{k}", f"H_1_{k}"))

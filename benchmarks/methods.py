@@ -105,14 +105,16 @@ def parse_methods(
     Raises InputError without methods, for a method that is named twice or has an option out of
     range, and for `/all` with a matcher of key points.
     """
-    matcher, methods = matcher or MatcherOptions(), list[Method]()
+    matcher = matcher or MatcherOptions()
+    methods = list[Method]()
     named = {_SETTING.split(name)[0].removesuffix(EVERYWHERE) for name in names}
     for text in [*names, *(name for name in stored if name not in named)]:
         if any(text == method.name for method in methods):
             raise InputError(f"the method {text!r} is named twice")
         name, *words = _SETTING.split(text)
         weights = name.removesuffix(EVERYWHERE)
-        used, everywhere = replace(matcher, weights=weights), name != weights
+        used = replace(matcher, weights=weights)
+        everywhere = name != weights
         if weights in (FLOW, *stored) or everywhere or not used.is_network:
             used = replace(used, matching=replace(used.matching, aligned="none"))
         if everywhere and not used.is_network and weights not in (FLOW, *stored):

@@ -83,7 +83,8 @@ def views_of_list(path: Path, folder: Path) -> Model:
     cameras: dict[str, Camera] = {}
     steps: dict[str, list[tuple[str, np.ndarray]]] = {}  # by image: other, other_from_image
     for pair in read_pairs(path):
-        name1, name2 = _name_in(folder, pair.path1), _name_in(folder, pair.path2)
+        name1 = _name_in(folder, pair.path1)
+        name2 = _name_in(folder, pair.path2)
         step = np.vstack([np.column_stack([pair.R, pair.t]), [0, 0, 0, 1]])
         steps.setdefault(name1, []).append((name2, step))
         steps.setdefault(name2, []).append((name1, np.linalg.inv(step)))
@@ -159,10 +160,12 @@ def sift_database(database: Path, views: Model, threads: int) -> None:
 
     The focal lengths count as known. Raises InputError if COLMAP has no model for a camera.
     """
-    extraction, matching = pycolmap.FeatureExtractionOptions(), pycolmap.FeatureMatchingOptions()
+    extraction = pycolmap.FeatureExtractionOptions()
+    matching = pycolmap.FeatureMatchingOptions()
     extraction.num_threads = matching.num_threads = threads
     extraction.use_gpu = matching.use_gpu = False
-    mode, names = pycolmap.CameraMode.PER_IMAGE, list(views.cameras)
+    mode = pycolmap.CameraMode.PER_IMAGE
+    names = list(views.cameras)
     pycolmap.extract_features(
         database, views.root, names, camera_mode=mode, extraction_options=extraction
     )
@@ -228,7 +231,8 @@ def model_figures(model: Model, views: Model) -> dict[str, Any]:
 
 def _relative(model: Model, name1: str, name2: str) -> tuple[np.ndarray, np.ndarray]:
     """R (3, 3) and t (3,) of cam2_from_cam1."""
-    pose1, pose2 = model.poses[name1], model.poses[name2]
+    pose1 = model.poses[name1]
+    pose2 = model.poses[name2]
     R = pose2[:, :3] @ pose1[:, :3].T
     return R, pose2[:, 3] - R @ pose1[:, 3]
 
@@ -245,7 +249,8 @@ def placed(locator: Locator, name: str, apart: int) -> dict[str, Any]:
     The database images are those at least `apart` away in the order of names. Positions are in the
     model's unit.
     """
-    model, start = locator.model, time.perf_counter()
+    model = locator.model
+    start = time.perf_counter()
     names = sorted(model.poses)
     number = names.index(name)
     out = names[max(0, number - apart + 1) : number + apart]
@@ -273,11 +278,9 @@ def placed(locator: Locator, name: str, apart: int) -> dict[str, Any]:
 def location_report(queries: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
     """Name and value of each figure over queries; each query is a result of `placed`."""
     column = {name: np.array([query[name] for query in queries]) for name in queries[0]}
-    rotation, position, located = (
-        column["rotation_deg"],
-        column["position"],
-        column["status"] == "located",
-    )
+    rotation = column["rotation_deg"]
+    position = column["position"]
+    located = column["status"] == "located"
     right = (rotation < 5) & (column["position_percent"] < 5)
     counted = {
         "located": located,
@@ -290,7 +293,8 @@ def location_report(queries: Sequence[Mapping[str, Any]]) -> list[tuple[str, str
         "R within its expected error": (rotation < column["rotation_error_90_deg"])[located],
         "position within its expected error": (position < column["position_error_90"])[located],
     }
-    seconds, of_pairs = column["seconds"], column["pair_seconds"]
+    seconds = column["seconds"]
+    of_pairs = column["pair_seconds"]
     medians = {
         "R, median, deg": rotation[located],
         "position, median, % of the extent": column["position_percent"][located],

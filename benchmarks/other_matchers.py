@@ -122,7 +122,9 @@ class FileMatcher(Matcher):
     """Reads the matches from another program's files (see `pair_files`)."""
 
     def __init__(self, name: str, files: Mapping[Names, Path], options: MatchingOptions) -> None:
-        self.name, self.files, self.options = name, files, options
+        self.name = name
+        self.files = files
+        self.options = options
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         """The stored map and the matches selected from it, or the stored points and no map, in

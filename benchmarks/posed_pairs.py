@@ -41,7 +41,9 @@ class ListedPairs:
             for path in (pair.path1, pair.path2):
                 if not path.is_file():
                     raise ImageError(f"{path}: no such image; it is named in the pair list")
-        self.pairs, self._size, self._images = pairs, size, ImageCache(2**29)
+        self.pairs = pairs
+        self._size = size
+        self._images = ImageCache(2**29)
 
     def pair(self, number: int) -> PosedPair:
         """A pair by its number.
@@ -51,13 +53,15 @@ class ListedPairs:
         pair = self.pairs[number]
         image1, camera1, turn1 = self._shown(pair.path1, pair.camera1)
         image2, camera2, turn2 = self._shown(pair.path2, pair.camera2)
-        R, t = turn2 @ pair.R @ turn1.T, turn2 @ pair.t
+        R = turn2 @ pair.R @ turn1.T
+        t = turn2 @ pair.t
         return PosedPair(image1, image2, camera1, camera2, R, t)
 
     def _shown(self, path: Path, camera: Camera) -> tuple[Image, Camera, np.ndarray]:
         """An upright image, its camera, and the rotation (3, 3) to its axes from the axes of the
         list, which describes the stored pixels."""
-        image, turn = self._images.read(Path(), str(path), size=self._size), np.eye(3)
+        image = self._images.read(Path(), str(path), size=self._size)
+        turn = np.eye(3)
         full = image.stored_size or image.size
         turn[:2, :2] = exif_turn(image.exif.orientation)
         stored = full if turn[0, 0] else full[::-1]

@@ -105,10 +105,12 @@ def columns(scores: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, np.ndarr
 def summarise(method: str, column: Mapping[str, np.ndarray]) -> Summary:
     """The figures of one method from the `columns` of its records; NaN for a share of nothing, and
     for values that the method does not give."""
-    rotation, translation = column["rotation_error_deg"], column["translation_error_deg"]
+    rotation = column["rotation_error_deg"]
+    translation = column["translation_error_deg"]
     folded = column["translation_folded_deg"]
     worse = np.maximum(rotation, folded)
-    match, estimate = column["match_seconds"], column["estimate_seconds"]
+    match = column["match_seconds"]
+    estimate = column["estimate_seconds"]
     claimed, doubted = (column[name] > 0 for name in ("success", "doubts_camera"))
     right = claimed & (np.maximum(rotation, translation) <= RIGHT_DEG)
     expected = right & np.isfinite(column["rotation_90_deg"])
@@ -122,7 +124,8 @@ def summarise(method: str, column: Mapping[str, np.ndarray]) -> Summary:
         np.concatenate([column[f"focal{n}_{name}"][claimed] for n in (1, 2)])
         for name in ("error", "std")
     )
-    fitted, sure = std > 0, (std > 0) & (std < _SURE_STD)
+    fitted = std > 0
+    sure = (std > 0) & (std < _SURE_STD)
     within = np.abs(error) <= 2 * std
     return {
         "method": method,

@@ -129,7 +129,8 @@ def report(batch: Batch, where: Path | None = None) -> None:
     summary = batch.summary
     name_bad_images(summary["bad_images"], batch.plan.names)
     if failed := [row for row in batch.rows if row.status == FAILED]:
-        pairs, first = counted(len(failed), "pair"), failed[0]
+        pairs = counted(len(failed), "pair")
+        first = failed[0]
         which = f"{first.name1} {first.name2}: {first.reason}"
         to_stderr(f"{pairs} failed (first: {which}): --resume matches them again")
     if warnings := [text for camera in batch.plan.cameras.values() for text in camera.warnings]:
@@ -152,7 +153,8 @@ def report(batch: Batch, where: Path | None = None) -> None:
         to_stderr(f"  {entry['pairs']} {places}")
     lines = []
     for camera in summary["cameras"]:
-        focal, std = camera["focal_px"], camera["focal_std"]
+        focal = camera["focal_px"]
+        std = camera["focal_std"]
         source = f"by {counted(camera['pairs'], 'pair')}"
         if camera["focal_source"] != "matches":
             source = SOURCES[camera["focal_source"]] + ": no pair determines it" * (std > 0)
@@ -194,7 +196,8 @@ def echo_pairs(rows: Sequence[PairRow]) -> None:
             degrees = [angle, pose.rotation_error_90_deg, pose.translation_error_90_deg]
         shown = ["-" if value is None else f"{value:.2f} deg" for value in degrees]
         likely = "-" if row.probability is None else percent_text(row.probability)
-        names, inliers = f"{row.name1} {row.name2}", f"{row.num_inliers} of {row.num_matches}"
+        names = f"{row.name1} {row.name2}"
+        inliers = f"{row.num_inliers} of {row.num_matches}"
         status = f"{row.status}, rejected" if row.rejected else row.status
         lines.append([printable(names), status, likely, *shown, inliers])
     click.echo(aligned(lines))

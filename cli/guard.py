@@ -36,7 +36,8 @@ class OutputFile(click.Path):
 
     def __init__(self, *, stdout: bool = False, picture: bool = False) -> None:
         super().__init__(readable=False)
-        self.stdout, self.picture = stdout, picture
+        self.stdout = stdout
+        self.picture = picture
 
     def check(self, path: str, context: click.Context) -> None:
         """Raise InputError if the path cannot be a file, or is a file that must not be replaced."""
@@ -83,7 +84,8 @@ class GuardedCommand(click.Command):
 
     def invoke(self, ctx: click.Context) -> Any:
         for parameter in self.params:
-            value, kind = ctx.params.get(parameter.name or ""), parameter.type
+            value = ctx.params.get(parameter.name or "")
+            kind = parameter.type
             if value is not None and isinstance(kind, OutputFile | OutputFolder):
                 try:
                     kind.check(value, ctx)

@@ -167,7 +167,8 @@ def location_text(query: str, location: Location) -> str:
     if location.direction is not None:
         direction = row_lines(location.direction)[0]
         lines.append(f"  direction from {location.direction_from}  {direction}")
-    rotation, position = location.rotation_error_90_deg, location.position_error_90
+    rotation = location.rotation_error_90_deg
+    position = location.position_error_90
     if rotation is not None and position is not None:
         lines.append(
             f"expected error: R within {rotation:.3f} deg, centre within {position:.3g} in "

@@ -21,7 +21,9 @@ from dgc_pose.system.texts import aligned, json_text
 if TYPE_CHECKING:
     from dgc_pose.motion import CameraMotion
 
-MOVED, CANNOT_SAY = 1, 3  # exit codes
+# Exit codes
+MOVED = 1
+CANNOT_SAY = 3
 PERCENT = 100.0
 CHANGED = {"moved", "zoomed"}  # verdicts
 _COLUMNS = (

@@ -65,7 +65,8 @@ def _options(
     """Name and decorator of each option. The name is the path of its fields, joined by "__"."""
     for field in fields(cls):
         kind, optional = field_types(cls)[field.name]
-        name, info = f"{path}__{field.name}", option_info(field)
+        name = f"{path}__{field.name}"
+        info = option_info(field)
         if only is not None and field.name not in only:
             continue
         if info is None or not info.help:
@@ -188,7 +189,8 @@ class CameraChoice(KChoice):
         name1, text1 = ("--K", self.k) if self.k1 is None else ("--K1", self.k1)
         name2, text2 = ("--K", self.k) if self.k2 is None else ("--K2", self.k2)
         if text2 is None:
-            name2, text2 = name1, text1
+            name2 = name1
+            text2 = text1
         return pair_cameras(text1, text2, image1, image2, (name1, name2), self.details, self.fov)
 
 

@@ -158,7 +158,8 @@ def _stated(text: str, frames: Path) -> Sequence[tuple[str, str | Camera]]:
     name, equals, K = text.partition("=")
     for longer in names:  # a name may contain =
         if text.startswith(f"{longer}=") and len(longer) > len(name):
-            name, K = longer, text.removeprefix(f"{longer}=")
+            name = longer
+            K = text.removeprefix(f"{longer}=")
     if equals and not os.path.lexists(text):
         return [(unicodedata.normalize("NFC", name), K)]
     file: Calibration = read_file(Path(text))

@@ -85,7 +85,8 @@ def missing(what: str, extra: str) -> str | None:
     lacks = sorted({name for module, name in modules.items() if not is_installed(module)})
     if not lacks:
         return None
-    names, verb = " and ".join(lacks), "is" if len(lacks) == 1 else "are"
+    names = " and ".join(lacks)
+    verb = "is" if len(lacks) == 1 else "are"
     source = f"./{extra}" if extra in FOLDERS else f"'.[{extra}]'"
     return f"{what} needs {names}, which {verb} not installed: pip install {source}"
 

@@ -20,7 +20,8 @@ def rotation_error_deg(R: np.ndarray, R_gt: np.ndarray) -> float:
 def translation_error_deg(t: np.ndarray, t_gt: np.ndarray) -> float:
     """Angle between two directions (3,) of any length but 0, degrees in [0, 180]."""
     a, b = (np.asarray(direction, dtype=np.float64) for direction in (t, t_gt))
-    a, b = a / np.abs(a).max(), b / np.abs(b).max()
+    a = a / np.abs(a).max()
+    b = b / np.abs(b).max()
     return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
 
 
@@ -33,7 +34,8 @@ def epipolar_residuals_px(
     be undone.
     """
     F = fundamental_from_essential(E, camera1.K, camera2.K)
-    ideal1, ideal2 = ideal_pixels(points1, camera1), ideal_pixels(points2, camera2)
+    ideal1 = ideal_pixels(points1, camera1)
+    ideal2 = ideal_pixels(points2, camera2)
     return symmetric_epipolar_distance(ideal1, ideal2, F)
 
 

@@ -17,7 +17,8 @@ from dgc_pose.matching import Matcher
 _EXPLAINED = 0.8  # share of the matches that are inliers from which nobody asks
 # Share of mirrored triangles below which nobody asks, and the longest side of such triangles, over
 # the longer side of the image.
-_FEW_TRIANGLES, _SMALL = 0.012, 0.15
+_FEW_TRIANGLES = 0.012
+_SMALL = 0.15
 _SURE = 0.9  # least probability of the mirror image's pose where the image itself has none
 # Matches that agree of the mirror image over those of the image, in coarse passes, above which the
 # image is mirrored; below the inverse it is not (docs/experiments.md).

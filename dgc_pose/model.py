@@ -138,7 +138,8 @@ class Model:
         if self.colmap is not None:
             written = pycolmap.Reconstruction(self.colmap)
         else:
-            written, poses = pycolmap.Reconstruction(), self.poses
+            written = pycolmap.Reconstruction()
+            poses = self.poses
             images = [(n, self.root / n, self.cameras[n], poses[n]) for n in poses] + images
         for name, path, camera, pose in images:
             header = image_header(path)
@@ -164,7 +165,8 @@ def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -
     Raises InputError if there are no poses, several models, or a pose that is not rigid; InputError
     or ImageError if fewer than two images are left; OSError.
     """
-    path, root = model_path(Path(source)), Path(images)
+    path = model_path(Path(source))
+    root = Path(images)
     if not root.is_dir():
         raise InputError(ArgumentName("images"), f"{root}: no such folder")
     file, colmap = read_model(path, whole=True) if path.is_dir() else (read_file(path), None)
@@ -193,7 +195,9 @@ def _upright(
     if len(names) - len(missing) < 2:
         raise InputError(ArgumentName("images"), f"{root} lacks {count} of {path}")
     whole = None if colmap is None else Model.of_colmap(colmap, root)
-    cameras, poses, seen = {}, {}, {}
+    cameras = {}
+    poses = {}
+    seen = {}
     failures: dict[str, DgcPoseError] = {}
     for stated, name in names.items():
         pose = file.poses[stated]
@@ -321,7 +325,8 @@ def write_nerfstudio(
         raise InputError(ArgumentName("to"), f"nerfstudio cannot hold {', '.join(sorted(lenses))}")
     frames = []
     for _, image in sorted(model.images.items()):
-        camera, pose = image.camera, image.cam_from_world().inverse().matrix() * (1, -1, -1, 1)
+        camera = image.camera
+        pose = image.cam_from_world().inverse().matrix() * (1, -1, -1, 1)
         path = image.name
         if images is not None:
             path = os.path.join(os.path.realpath(images, strict=True), path)

@@ -46,13 +46,17 @@ if TYPE_CHECKING:
 STILL_DEG = 0.05  # the camera is still if the motion of the picture plus its error is less
 ZOOMED = 0.02  # relative scale from which a camera has zoomed; a focus that breathes has less
 # The camera has moved if the motion of the picture exceeds this and this many times its error.
-_LEAST_DEG, _SIGNIFICANT = 0.01, 2.0
+_LEAST_DEG = 0.01
+_SIGNIFICANT = 2.0
 _MOST = 0.9  # quantile of the motion over the picture that these limits apply to
 _CELLS = 16  # along the longer side of the picture
-_MIN_MATCHES, _COVERED = 50, 0.1  # the second is the least share of the picture that agrees
+_MIN_MATCHES = 50
+_COVERED = 0.1  # least share of the picture that agrees
 # Shares of the matched cells: the least that agree on a motion; the least that stay although the
 # motion would move them, so only objects moved; the most that stay if the camera moved.
-_AGREE, _STAY, _NOTHING = 0.4, 0.15, 0.1
+_AGREE = 0.4
+_STAY = 0.15
+_NOTHING = 0.1
 # A larger part that moves together, or one far larger than the part that stays, may be the scene
 # behind a still lens hood.
 _MAJORITY = 0.6
@@ -61,7 +65,9 @@ _PARALLAX = 25.0  # a shift that lowers the loss by more is no zoom
 _STAYS = 3.0  # largest error of a match that stays, in standard deviations
 _LENS_STD = 0.15  # of the first radial coefficient, for a K without a lens
 # Random triples; their threshold; the first standard deviation of a match, over its expected error.
-_SAMPLES, _LOOSE, _WIDE = 200, 0.02, 8.0
+_SAMPLES = 200
+_LOOSE = 0.02
+_WIDE = 8.0
 
 
 @dataclass(frozen=True)

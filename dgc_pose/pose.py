@@ -46,7 +46,9 @@ STEPS: Mapping[Effort, Sequence[Step]] = {
 }
 # The search for matches ends if all hypotheses together are less probable than the first number;
 # or if they are at least as probable as the second and the likeliest has the third as its share.
-_MIN_SEARCHED, _MAX_SEARCHED, _CLEAR_SHARE = 0.005, 0.99, 0.95
+_MIN_SEARCHED = 0.005
+_MAX_SEARCHED = 0.99
+_CLEAR_SHARE = 0.95
 # Statuses without a pose that further matches hardly change.
 _FINAL = ("rotation_only", "mirrored", "same_picture", "panorama")
 _DOUBT = -1.0  # log-odds of another camera given the matches, above which they are refined
@@ -129,7 +131,8 @@ def solve_pair(
         (options, EstimationOptions, "options"),
     ):
         check_type(value, kind, name)
-    maps, markers = scale.maps((image1, image2)), scale.markers((image1, image2))
+    maps = scale.maps((image1, image2))
+    markers = scale.markers((image1, image2))
     pose: RelativePose | None = None
     coarse: RelativePose | None = None
     found: MatchResult | None = None
@@ -158,7 +161,8 @@ def solve_pair(
         estimating += time.perf_counter() - matched
         if step == "second" and _is_likelier(pose, again):
             continue
-        found, pose = result, again
+        found = result
+        pose = again
         if step == "coarse":
             coarse = pose
     assert pose is not None and found is not None
@@ -288,7 +292,9 @@ class PairResult:
         NaN for outliers and for points not in front of both cameras; all NaN without R and t.
         """
         points = np.full((len(self.matches), 3), np.nan)
-        R, t, inliers = self.pose.R, self.pose.t, self.pose.inliers
+        R = self.pose.R
+        t = self.pose.t
+        inliers = self.pose.inliers
         if R is None or t is None:
             return points
         x1 = self.camera1.normalise(self.matches.points1[inliers])

@@ -92,7 +92,8 @@ def _exposed(images: Tensor, draw: Draw) -> Tensor:
 def _kernels(count: int, draw: Draw) -> Tensor:
     """Blur kernels (B, 7, 7) that sum to one: defocus, a stroke through the middle, or no blur."""
     offsets = torch.arange(-_RADIUS, _RADIUS + 1, device=draw.device)
-    x, y = offsets, offsets[:, None]
+    x = offsets
+    y = offsets[:, None]
     sigma = draw.uniform(count, 1, 1, low=0.3, high=1.4)
     focus = torch.exp(-(x**2 + y**2) / (2 * sigma**2))
     angle = draw.uniform(count, 1, 1, high=math.pi)

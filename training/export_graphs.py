@@ -84,11 +84,14 @@ def export(folder: Path) -> None:
 
     rows, columns = _CELLS
     c, d, h, w, u, v = (torch.export.Dim(name, min=1, max=4096) for name in "cdhwuv")
-    pixels, sides = torch.rand(STRIDE * rows, STRIDE * columns, 3), {0: STRIDE * h, 1: STRIDE * w}
+    pixels = torch.rand(STRIDE * rows, STRIDE * columns, 3)
+    sides = {0: STRIDE * h, 1: STRIDE * w}
     write(graphs.LEVELS, _Part(_levels, pyramid=net.pyramid), [pixels], [sides])
     write(graphs.NATIVE, _Part(_native, pyramid=net.pyramid), [pixels], [sides])
-    features, state = torch.rand(1, 24, 12, 10), torch.rand(1, config.map_channels, 14, 18)
-    any_features, pair = {1: c, 2: u, 3: v}, [features, state]
+    features = torch.rand(1, 24, 12, 10)
+    state = torch.rand(1, config.map_channels, 14, 18)
+    any_features = {1: c, 2: u, 3: v}
+    pair = [features, state]
     write(graphs.WARP, _Part(net.warp), pair, [any_features, {2: h, 3: w}])
     write(graphs.UPSAMPLE, _Part(upsample), [state], [{2: h, 3: w}])
     write(graphs.RESAMPLE, _Part(resample), pair, [any_features, {1: d, 2: h, 3: w}])
@@ -143,7 +146,8 @@ def without_weights(model: onnx.ModelProto, names: set[str]) -> list[str]:
         del tensor.external_data[:]
         # The engine supplies the values, but ONNX requires a location.
         entry = tensor.external_data.add()
-        entry.key, entry.value = "location", "weights"
+        entry.key = "location"
+        entry.value = "weights"
     return [tensor.name for tensor in removed]
 
 

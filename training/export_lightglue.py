@@ -23,7 +23,8 @@ from dgc_pose.training.aliked import Aliked, aliked_state
 from dgc_pose.training.export_graphs import onnx_graph, without_weights
 from dgc_pose.training.lightglue import WIDTH, Layer, head_state, layer_state
 
-_ALIKED, _LIGHTGLUE = "aliked-n16.pth", "aliked_lightglue.pth"
+_ALIKED = "aliked-n16.pth"
+_LIGHTGLUE = "aliked_lightglue.pth"
 
 
 def export(released: Path, folder: Path) -> None:

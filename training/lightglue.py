@@ -94,8 +94,10 @@ class _CrossAttention(nn.Module):
         self.update = _Update()
 
     def forward(self, descriptors1: Tensor, descriptors2: Tensor) -> tuple[Tensor, Tensor]:
-        query1, query2 = self.query(descriptors1), self.query(descriptors2)
-        value1, value2 = self.value(descriptors1), self.value(descriptors2)
+        query1 = self.query(descriptors1)
+        query2 = self.query(descriptors2)
+        value1 = self.value(descriptors1)
+        value2 = self.value(descriptors2)
         return (
             self.update(descriptors1, _attention(query1, query2, value2)),
             self.update(descriptors2, _attention(query2, query1, value1)),

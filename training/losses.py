@@ -32,13 +32,17 @@ SHAPES: dict[StageName, tuple[Shape, ...]] = {
     "decoders": ((240, 240), (208, 272), (272, 208), (176, 336), (128, 448), (320, 176)),
 }
 _ROUNDS = 3  # of the consensus in the encoder's loss
-_QUERIES, _WINDOW_QUERIES = 256, 160  # target cells per pair, at stride 4 and for the refinement
+# Target cells per pair
+_QUERIES = 256  # at stride 4
+_WINDOW_QUERIES = 160  # for the refinement
 _LARGEST_SCALE = 60.0  # inverse temperature
 # The losses ignore the features' length, so that it drifts; long features overflow half precision.
-_LONGEST, _DRIFT = 220.0, 0.1
+_LONGEST = 220.0
+_DRIFT = 0.1
 _ROBUST_CELLS = 4.0  # larger errors of a map count logarithmically
 _LEAST_LOG = -14.0  # of a probability; limits the weight of a wrong truth
-_RADIUS, _SHARPNESS = 3, 20.0  # cells and inverse temperature of the engine's refinement
+_RADIUS = 3  # cells of the engine's refinement
+_SHARPNESS = 20.0  # inverse temperature of the engine's refinement
 _JITTER = 1.5  # cells, of the window about the truth
 
 
@@ -144,7 +148,8 @@ class DecoderStage(nn.Module):
         noisy = draw.chance(len(pairs.map), 1, 1, 1, share=share)
         corner = [draw.choice(range(side // 4 + 1)) for side in shape]
         state = self.net.start(source, target)
-        total, figures = state.new_zeros(()), {}
+        total = state.new_zeros(())
+        figures = {}
         for level in range(COARSEST, -1, -1):
             rows, columns = _window(level, shape, corner)
             side = shape[0] >> level
@@ -169,7 +174,8 @@ class DecoderStage(nn.Module):
 
     def _level_loss(self, level: int, state: Tensor, truth: MapPairs) -> tuple[Tensor, Tensor]:
         """The loss of a level's state, and its mean error in pixels."""
-        config, size = self.net.config, _grid(truth.image1)[::-1]
+        config = self.net.config
+        size = _grid(truth.image1)[::-1]
         points = to_pixels(state[:, :2].movedim(1, -1), size, config.align_corners)
         # 0 elsewhere, so that undefined values of the truth do not reach the gradient.
         error = torch.where(truth.valid[..., None], points - truth.map, 0)
@@ -192,7 +198,8 @@ class DecoderStage(nn.Module):
 
         Where the truth is unknown, the previous map takes its place.
         """
-        align_corners, size = self.net.config.align_corners, _grid(truth.image1)[::-1]
+        align_corners = self.net.config.align_corners
+        size = _grid(truth.image1)[::-1]
         batch, _, *sides = previous.shape
         coarse = draw.normal(batch, 2, *(max(2, side // 4) for side in sides))
         smooth = F.interpolate(coarse, sides, mode="bicubic", align_corners=False)
@@ -269,14 +276,16 @@ def window_loss(
     2x2 cells, in the source at stride 1. truth: true points (B, h w / 4, 2), pixels, of the
     target's cells of stride 8, of which `queries` random ones count; valid: (B, h w / 4).
     """
-    means, wanted = F.avg_pool2d(source, 2, 1), F.avg_pool2d(target, 2).flatten(2)
+    means = F.avg_pool2d(source, 2, 1)
+    wanted = F.avg_pool2d(target, 2).flatten(2)
     rows, columns = means.shape[2:]
     chosen, points, use = random_cells(truth, valid, queries, draw)
     place = torch.where(use[..., None], (points + 0.5) / 4 - 1, 0)  # in means, between cells
     middle = (place + _JITTER * draw.uniform(*place.shape, low=-1)).round()
     offsets = torch.arange(-_RADIUS, _RADIUS + 1, device=place.device)
     dy, dx = torch.meshgrid(offsets, offsets, indexing="ij")
-    x, y = middle[..., :1] + dx.flatten(), middle[..., 1:] + dy.flatten()
+    x = middle[..., :1] + dx.flatten()
+    y = middle[..., 1:] + dy.flatten()
     there = (x >= 0) & (y >= 0) & (x < columns) & (y < rows)
     index = (y.clamp(0, rows - 1) * columns + x.clamp(0, columns - 1)).long()
     channels = means.shape[1]

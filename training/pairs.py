@@ -50,7 +50,8 @@ class PairSource:
 
         Raises InputError if no kind with a share has data.
         """
-        photos, posed = self.photos, self.posed
+        photos = self.photos
+        posed = self.posed
         there = True, len(photos.places) > 0, True, posed is not None
         ends = np.cumsum(np.multiply(self.shares, there))
         if not ends[-1]:
@@ -142,7 +143,8 @@ def warped_pairs(photos: Photos, count: int, shape: Shape, draw: Draw, light: bo
     image2, hidden2 = occluded(photos, bank.view(target, in_target), draw)
     place = (2 * truth + 1) / truth.new_tensor(shape[::-1]) - 1
     behind = F.grid_sample(hidden1.float()[:, None], place, align_corners=False)[:, 0] > 0.3
-    on_view, on_photo = inside(truth, shape), inside(in_target, bank.size(target)[:, None, None])
+    on_view = inside(truth, shape)
+    on_photo = inside(in_target, bank.size(target)[:, None, None])
     known = on_photo | ~on_view | hidden2
     valid = on_view & on_photo & ~hidden2 & ~behind
     return MapPairs(image1.movedim(-1, 1), image2.movedim(-1, 1), truth, valid, known)
@@ -151,7 +153,8 @@ def warped_pairs(photos: Photos, count: int, shape: Shape, draw: Draw, light: bo
 def _random_views(size: Tensor, shape: Shape, draw: Draw) -> list[Tensor]:
     """Homographies (B, 3, 3) from pixels of the source view and of the target view to pixels of the
     photographs. size: (B, 2), width and height of the photographs."""
-    count, extent = len(size), size.new_tensor(shape[::-1]) / root_area(shape)
+    count = len(size)
+    extent = size.new_tensor(shape[::-1]) / root_area(shape)
     most = (size / extent).amin(1) / 2
     side2 = most * draw.log_uniform(count, low=0.5, high=1.0)
     side1 = (side2 * draw.log_uniform(count, low=0.6, high=1.65)).minimum(1.05 * most)
@@ -197,7 +200,8 @@ def occluded(
 ) -> tuple[Tensor, Tensor]:
     """Cover part of a `share` of the views (B, H, W, 3) with a blot cut from another photograph;
     also return the blots' masks (B, H, W)."""
-    count, shape = len(images), (images.shape[1], images.shape[2])
+    count = len(images)
+    shape = (images.shape[1], images.shape[2])
     place = (pixel_grid(shape, draw.device) - middle_of(shape, draw.device)) * 2 / root_area(shape)
     offset = place - draw.uniform(count, 1, 1, 2, low=-0.9, high=0.9)
     turn = rotation_2d(draw.uniform(count, high=math.pi))

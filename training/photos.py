@@ -38,7 +38,8 @@ class ImageBank:
     @classmethod
     def of(cls, images: Iterable[np.ndarray], device: torch.device | str = "cpu") -> ImageBank:
         """Make a bank of images (h, w, 3) uint8, RGB."""
-        levels, sizes = [], []
+        levels = []
+        sizes = []
         for image in images:
             for _ in range(LEVELS):
                 wide = image.astype(np.int32)
@@ -62,7 +63,8 @@ class ImageBank:
         level. Both broadcast with the points.
         """
         level = (_SHARPNESS * spacing).clamp(min=1).log2().long().clamp(max=LEVELS - 1)
-        start, size = self.start[image, level], self.sizes[image, level]
+        start = self.start[image, level]
+        size = self.sizes[image, level]
         place = (points + 0.5) / self.sizes[image, 0]
         mirrored = 1 - (place.remainder(2) - 1).abs()  # on an endless row of mirrored copies
         inside = torch.minimum((mirrored * size - 0.5).clamp(min=0), size - 1)
@@ -70,7 +72,8 @@ class ImageBank:
         u, v = (inside - first).unsqueeze(-2).unbind(-1)
         left, top = first.unbind(-1)
         right, bottom = torch.minimum(first + 1, size - 1).unbind(-1)
-        upper, lower = start + top * size[..., 0], start + bottom * size[..., 0]
+        upper = start + top * size[..., 0]
+        lower = start + bottom * size[..., 0]
         above = torch.lerp(self._colours(upper + left), self._colours(upper + right), u)
         below = torch.lerp(self._colours(lower + left), self._colours(lower + right), u)
         return torch.lerp(above, below, v) / 255
@@ -173,7 +176,8 @@ def _images(root: Path) -> list[Path]:
 
 def _decoded(paths: list[Path], side: int) -> list[np.ndarray]:
     """Decode the readable images, resized. Raises ImageError if none is readable."""
-    images, damaged = list[np.ndarray](), list[ImageError]()
+    images = list[np.ndarray]()
+    damaged = list[ImageError]()
     for path in tqdm(paths, desc="photographs", unit="", disable=None, leave=False):
         try:
             pixels = load_image(path).pixels

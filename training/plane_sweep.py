@@ -9,14 +9,18 @@ from torch import Tensor
 from dgc_pose.training.photos import ImageBank
 from dgc_pose.training.views import Cameras, angle_deg, inside, pixel_grid
 
-_SIDE, _PLANES = 256, 72  # longest side, pixels; number of planes, even in inverse depth
+_SIDE = 256  # longest side, pixels
+_PLANES = 72  # even in inverse depth
 _MOST = 5  # neighbours to compare a frame with
-_ANGLE_DEG, _ANGLE_SPREAD = 10.0, 8.0  # between rays of neighbours: the best angle, its spread
+_ANGLE_DEG = 10.0  # the best angle between rays of neighbours
+_ANGLE_SPREAD = 8.0
 _LEAST_ANGLE_DEG = 1.5
 _LEAST_FIT = 0.05  # of a neighbour
 _WINDOW = 7  # side of the correlated window, pixels
-_VARIANCE, _NOISE = 6e-5, 2e-5  # of a window: least variance, and variance added to it
-_CORRELATION, _MARGIN = 0.55, 0.03  # least correlation, and least lead over planes elsewhere
+_VARIANCE = 6e-5  # least variance of a window
+_NOISE = 2e-5  # variance added to it
+_CORRELATION = 0.55  # least correlation
+_MARGIN = 0.03  # least lead over planes elsewhere
 _AGREES = 0.02  # largest relative difference of a neighbour's depth that agrees
 _DENSITY = 0.3  # least share of kept pixels around a kept one: isolated pixels are chance
 
@@ -29,7 +33,8 @@ def swept_depths(bank: ImageBank, views: Cameras, reach: Tensor) -> list[Tensor]
     """
     sizes = bank.sizes[:, 0].float()
     near = _neighbours(sizes, views, reach)
-    greys, K = [], []
+    greys = []
+    K = []
     for frame, (own, size) in enumerate(zip(views.K, sizes, strict=True)):
         factor = min(1.0, _SIDE / float(size.max()))
         width, height = (round(factor * extent) for extent in size.cpu().tolist())
@@ -53,7 +58,8 @@ def _neighbours(size: Tensor, views: Cameras, reach: Tensor) -> list[list[int]]:
     for k, own in enumerate(points):
         seen, depth = views.project(own.expand(len(size), -1, -1))
         shown = (inside(seen, size[:, None]) & (depth > 0)).float().mean(1)
-        rays, others = own - views.centre[k], own - views.centre[:, None]
+        rays = own - views.centre[k]
+        others = own - views.centre[:, None]
         angle = angle_deg(rays[None], others).median(1).values
         scale = (rays.norm(dim=-1) / others.norm(dim=-1).clamp(min=1e-9)).median(1).values
         off = ((angle - _ANGLE_DEG) / _ANGLE_SPREAD) ** 2 + (scale.log() / 0.5) ** 2

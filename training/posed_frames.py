@@ -18,7 +18,9 @@ from dgc_pose.images.folder import search_images
 from dgc_pose.model import load_model
 from dgc_pose.system.files import read_as, read_text
 
-_NEAREST, _FARTHEST = 0.02, 0.98  # quantiles of the points' depths, for a frame's reach
+# Quantiles of the points' depths, for a frame's reach
+_NEAREST = 0.02
+_FARTHEST = 0.98
 _MARGIN = 1.25  # factor by which the reach extends beyond these quantiles
 
 
@@ -37,7 +39,8 @@ class PosedFrame:
     reach: tuple[float, float] | None = None  # nearest and farthest depth; None: by a sensor
 
     def __post_init__(self) -> None:
-        R, last = self.cam_from_world[:3, :3], self.cam_from_world[3]
+        R = self.cam_from_world[:3, :3]
+        last = self.cam_from_world[3]
         is_pose = is_rotation(R) and np.isfinite(self.cam_from_world).all()
         if not (is_pose and np.allclose(last, (0, 0, 0, 1), atol=1e-6)):
             raise InputError(f"{self.image}: its pose is not a rotation and translation")
@@ -50,7 +53,8 @@ class PosedFrame:
         Raises ImageError, with the path, if it is unreadable; InputError if its shape differs.
         """
         assert self.depth is not None
-        stored, size = read_pixels(self.depth), image_size(self.image)
+        stored = read_pixels(self.depth)
+        size = image_size(self.image)
         if stored.ndim != 2:
             raise ImageError(f"{self.depth} is not a depth image of one channel")
         if not same_shape(stored.shape[::-1], size):
@@ -88,7 +92,8 @@ def read_scene(root: Path) -> list[PosedFrame]:
 
 def _read_model(root: Path) -> list[PosedFrame]:
     """The frames of a COLMAP model that see points; the points' depths give their reach."""
-    model, frames = load_model(root, root / "images"), []
+    model = load_model(root, root / "images")
+    frames = []
     for name in sorted(model.seen):
         pose = np.vstack([model.poses[name], (0, 0, 0, 1)])
         depths = model.points[model.seen[name][0]] @ pose[2, :3] + pose[2, 3]
@@ -103,7 +108,8 @@ def _read_model(root: Path) -> list[PosedFrame]:
 def read_rgbd(root: str | Path) -> list[PosedFrame]:
     """Read the frames of a posed RGB-D folder, in order. Raises InputError, with the path, if the
     numbers of files or poses differ or a matrix is malformed; OSError."""
-    root, path = Path(root), Path(root) / "poses.txt"
+    root = Path(root)
+    path = root / "poses.txt"
     folders = root / "images", root / "depth"
     images, depths = ([f / name for name in search_images(f).names] for f in folders)
     camera = parse_camera(str(root / "K.txt"))
@@ -117,7 +123,9 @@ def read_rgbd(root: str | Path) -> list[PosedFrame]:
 
 
 def _read_listed(root: Path) -> list[PosedFrame]:
-    path, scale, step = root / "cameras.txt", root / "depth_scale.txt", 1e-3
+    path = root / "cameras.txt"
+    scale = root / "depth_scale.txt"
+    step = 1e-3
     if scale.exists():
         with read_as("a number of steps", scale):
             step = 1 / float(read_text(scale))
@@ -132,7 +140,8 @@ def _read_listed(root: Path) -> list[PosedFrame]:
         if not (K[:2].min() > 0 and 0 < nearest < farthest < np.inf):
             wanted = "fx, fy and the depths must be positive, the nearest depth below the farthest"
             raise InputError(f"{path}:{number}: {wanted}")
-        image, reach = root / "images" / name, (nearest, farthest)
+        image = root / "images" / name
+        reach = (nearest, farthest)
         depth = root / "depth" / f"{image.stem}.png" if scale.exists() else None
         frames.append(PosedFrame(image, Camera(K), pose, depth, step, reach))
     return frames

@@ -41,7 +41,9 @@ _PROBE = (16, 20)  # rows and columns of points for estimating the overlap of fr
 _AGREES = 0.05  # largest relative difference of depths that agree at such a point
 _VISIBLE = 0.03  # a pixel is visible if the source's depth is this close to the expected, relative
 _HIDDEN = 0.07  # a pixel is hidden if the source's depth is nearer by more than this; else unknown
-_LEAST_OVERLAP, _LEAST_RIGHT, _LEAST_POINTS = 0.2, 0.3, 12
+_LEAST_OVERLAP = 0.2
+_LEAST_RIGHT = 0.3
+_LEAST_POINTS = 12
 _MOST_ROLL_DEG = 50.0
 _MOST_COUNTED = 2000  # pairs; more do not increase a scene's weight
 
@@ -94,10 +96,14 @@ def load_posed(
     kept: a folder for swept depths, with a file per scene, named by a hash of its frames. Raises
     ImageError if a file is unreadable, InputError if the shape of a depth differs from its image.
     """
-    images, K, poses, depths = list[np.ndarray](), list[Tensor](), list[Tensor](), list[Tensor]()
+    images = list[np.ndarray]()
+    K = list[Tensor]()
+    poses = list[Tensor]()
+    depths = list[Tensor]()
     for name, frames in tqdm(scenes.items(), desc="scenes", unit="", disable=None, leave=False):
         pixels, pinholes, sensed, reaches = zip(*map(_prepared, frames), strict=True)
-        reach, pose = np.array(reaches), np.stack([f.cam_from_world[:3] for f in frames])
+        reach = np.array(reaches)
+        pose = np.stack([f.cam_from_world[:3] for f in frames])
         # Origin among the cameras, and units of the depth: for single precision.
         unit = np.median(np.sqrt(reach.prod(1)))
         middle = -np.einsum("nij,ni->nj", pose[..., :3], pose[..., 3]).mean(0)
@@ -148,7 +154,8 @@ def _prepared(
     size = pixels.shape[1], pixels.shape[0]
     if depth.shape[1] > size[0]:
         depth = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST_EXACT)
-    K, known = camera.resized(size).K, depth[depth > 0]
+    K = camera.resized(size).K
+    known = depth[depth > 0]
     reach = frame.reach or ((known.min(), known.max()) if len(known) else (1.0, 1.0))
     return pixels, np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]]), depth, reach
 
@@ -168,13 +175,18 @@ def frame_pairs(scenes: PosedScenes, names: Collection[str]) -> FramePairs:
 
 def _scene_pairs(scenes: PosedScenes, frames: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Frames, middles and weights of the pairs of one scene's frames (n,)."""
-    count, size = len(frames), scenes.bank.size(frames)
+    count = len(frames)
+    size = scenes.bank.size(frames)
     steps = (torch.arange(n, device=size.device) / n + 0.5 / n for n in _PROBE[::-1])
     grid = torch.stack(torch.meshgrid(*steps, indexing="xy"), -1).view(1, -1, 2)
     points = grid * size[:, None] - 0.5
-    depth, cameras = scenes.depth_at(frames, points), scenes.cameras[frames]
-    known, place = depth > 0, cameras.unproject(points, depth)
-    pairs, middles, weights = [], [], []
+    depth = scenes.depth_at(frames, points)
+    cameras = scenes.cameras[frames]
+    known = depth > 0
+    place = cameras.unproject(points, depth)
+    pairs = []
+    middles = []
+    weights = []
     for k, frame in enumerate(frames):  # the source
         seen, away = cameras[[k] * count].project(place)
         there = scenes.depth_at(frame.expand(count), seen)
@@ -211,7 +223,8 @@ def posed_pairs(pairs: FramePairs, count: int, shape: Shape, draw: Draw) -> MapP
     agrees there. It is hidden if it projects outside, or well behind the source's depth. It is
     unknown if either depth is missing or the two contradict each other.
     """
-    scenes, place = pairs.scenes, draw.uniform(count).double() * pairs.chance[-1]
+    scenes = pairs.scenes
+    place = draw.uniform(count).double() * pairs.chance[-1]
     chosen = torch.searchsorted(pairs.chance, place).clamp(max=len(pairs.frames) - 1)
     source, target = pairs.frames[chosen].unbind(1)
     middle1, middle2 = pairs.middles[chosen].unbind(1)
@@ -225,15 +238,18 @@ def posed_pairs(pairs: FramePairs, count: int, shape: Shape, draw: Draw) -> MapP
     image1 = scenes.bank.view(source, in_frame1)
     image2 = scenes.bank.view(target, in_frame2)
     depth = scenes.depth_at(target, in_frame2)
-    camera1, camera2 = scenes.cameras[source], scenes.cameras[target]
+    camera1 = scenes.cameras[source]
+    camera2 = scenes.cameras[target]
     camera1 = camera1.seen_by(camera2)
     camera2 = Cameras(camera2.K, torch.eye(3, 4, device=draw.device).expand(count, 3, 4))
     projected, expected = camera1.project(camera2.unproject(in_frame2, depth))
     back = torch.linalg.inv_ex(linear1).inverse
     truth = torch.einsum("bij,bhwj->bhwi", back, projected - shift1[:, None, None])
-    there, measured = scenes.depth_at(source, projected), depth > 0
+    there = scenes.depth_at(source, projected)
+    measured = depth > 0
     on_view = (expected > 1e-3 * depth) & inside(truth, shape)
-    compared, ratio = on_view & (there > 0), there / expected
+    compared = on_view & (there > 0)
+    ratio = there / expected
     visible = measured & compared & ((ratio - 1).abs() < _VISIBLE)
     known = measured & (visible | (compared & (ratio < 1 - _HIDDEN)) | ~on_view)
     return MapPairs(image1.movedim(-1, 1), image2.movedim(-1, 1), truth, visible, known)
@@ -244,7 +260,8 @@ def _random_cuts(size: Tensor, middle: Tensor, shape: Shape, draw: Draw) -> tupl
 
     size: (B, 2), width and height of the frames; middle: (B, 2), pixels; views lie around it.
     """
-    count, extent = len(size), size.new_tensor(shape[::-1]) / root_area(shape)
+    count = len(size)
+    extent = size.new_tensor(shape[::-1]) / root_area(shape)
     side = (size / extent).amin(1) * draw.log_uniform(count, low=0.55, high=1.0)
     aspect = draw.log_uniform(count, low=0.78, high=1.28)
     stretch = torch.stack([aspect.clamp(max=1), (1 / aspect).clamp(max=1)], -1)

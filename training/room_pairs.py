@@ -82,7 +82,8 @@ def random_rooms(
     thin = draw.integers(count, solids, 1, count=3) == torch.arange(3, device=draw.device)
     half = torch.where(flat & thin, 0.02, half)
     centre = look[:, None] + draw.normal(count, solids, 3) * half.new_tensor((1.0, 0.5, 1.0))
-    stands, floor = draw.chance(count, solids, share=0.6), walls[:, None, 1] - half[..., 1]
+    stands = draw.chance(count, solids, share=0.6)
+    floor = walls[:, None, 1] - half[..., 1]
     centre[..., 1] = torch.where(stands, floor, centre[..., 1])
     aligned = draw.chance(count, solids, share=0.4)
     yaw = draw.uniform(count, solids, low=-math.pi, high=math.pi)
@@ -91,7 +92,8 @@ def random_rooms(
     pitch, roll = 0.5 * draw.normal(2, count, solids) * tilted
     axes = about_axis(yaw, 1) @ about_axis(pitch, 0) @ about_axis(roll, 2)
     turned = about_axis(0.4 * draw.normal(count, 1), 1)
-    axes, half = torch.cat([turned, axes], 1), torch.cat([walls[:, None], half], 1)
+    axes = torch.cat([turned, axes], 1)
+    half = torch.cat([walls[:, None], half], 1)
     textures = random_textures(count, 1 + solids, photos, draw, options.spans)
     return Rooms(axes, half, F.pad(centre, (0, 0, 1, 0)), *textures, options.ellipsoids), look
 
@@ -126,7 +128,8 @@ def _orbiting(
     azimuth = draw.uniform(count, low=-math.pi, high=math.pi)
     elevation = draw.uniform(2, count, low=-0.12, high=0.45)
     distance = draw.log_uniform(count, low=1.3, high=3.5)
-    walls, axes = 0.93 * rooms.half[:, 0], rooms.axes[:, 0]
+    walls = 0.93 * rooms.half[:, 0]
+    axes = rooms.axes[:, 0]
     cameras = []
     for k in range(2):
         if k:
@@ -176,7 +179,8 @@ def first_hits(rooms: Rooms, origin: Tensor, rays: Tensor) -> tuple[Tensor, Tens
     origin: (B, 3); rays: (B, N, 3), with z = 1 in the camera; both in world coordinates.
     """
     nearest = torch.full_like(rays[..., 0], torch.inf)
-    which, count = torch.zeros_like(nearest, dtype=torch.int64), rooms.half.shape[1]
+    which = torch.zeros_like(nearest, dtype=torch.int64)
+    count = rooms.half.shape[1]
     for k in range(count):
         unit = rooms.axes[:, k] / rooms.half[:, k, None]  # maps to a cube or a ball of half size 1
         start = ((origin - rooms.centre[:, k])[:, None] @ unit).expand_as(rays)
@@ -184,7 +188,8 @@ def first_hits(rooms: Rooms, origin: Tensor, rays: Tensor) -> tuple[Tensor, Tens
         is_ball = k >= count - rooms.ellipsoids
         hit = _ball(start, step) if is_ball else _cube(start, step, from_inside=k == 0)
         nearer = hit < nearest
-        nearest, which = torch.where(nearer, hit, nearest), torch.where(nearer, k, which)
+        nearest = torch.where(nearer, hit, nearest)
+        which = torch.where(nearer, k, which)
     return nearest, which
 
 
@@ -192,7 +197,8 @@ def _cube(start: Tensor, step: Tensor, from_inside: bool) -> Tensor:
     """Parameters (B, N) at which rays enter (`from_inside`: leave) the unit cube, or infinity."""
     step = torch.where(step.abs() < _TINY, _TINY, step)
     ends = torch.stack([(-1 - start) / step, (1 - start) / step])
-    enter, leave = ends.amin(0).amax(-1), ends.amax(0).amin(-1)
+    enter = ends.amin(0).amax(-1)
+    leave = ends.amax(0).amin(-1)
     if from_inside:
         return leave
     return enter.masked_fill((enter > leave) | (enter < _NEAR), torch.inf)
@@ -261,6 +267,7 @@ def render_pairs(
     image2, depth2 = render(rooms, target, shape, bank)
     pixels = pixel_grid(shape, bank.texels.device).flatten(0, 1).expand(len(depth2), -1, -1)
     found, visible = correspond(rooms, source, target, depth2.flatten(1), pixels, shape1)
-    truth, valid = found.unflatten(1, shape), visible.unflatten(1, shape)
+    truth = found.unflatten(1, shape)
+    valid = visible.unflatten(1, shape)
     maps = MapPairs(image1, image2, truth, valid, torch.ones_like(valid))
     return RoomPairs(maps, source, target, depth1, depth2)

@@ -27,19 +27,25 @@ from dgc_pose.training.pairs import TRAINING, PairSource
 from dgc_pose.training.views import MapPairs
 from dgc_pose.version import version
 
-CHECKPOINT, LOG = "checkpoint.pt", "log.jsonl"
+CHECKPOINT = "checkpoint.pt"
+LOG = "log.jsonl"
 _SQUARE = (INPUT_SIZE, INPUT_SIZE)
 _STEPS_A_ROW = 10  # steps per row of the log; only for a row is data read from the GPU
 _SAVE_SECONDS = 60.0  # between checkpoints
 _BATCH = 4  # pairs of 240x240 pixels per step, on a CPU
 _GPU_BATCH: dict[StageName, int] = {"encoder": 84, "decoders": 64}
-_VALIDATION, _VALIDATION_BATCH = 4, 8  # validation batches of each kind, and pairs per batch
+_VALIDATION = 4  # validation batches of each kind
+_VALIDATION_BATCH = 8  # pairs per validation batch
 _LARGEST_GRADIENT = 3.0  # norm over all parameters
-_RATE, _WEIGHT_DECAY, _BETAS = 1e-3, 1e-4, (0.9, 0.98)
-_WARM_UP, _LAST_RATE = 0.02, 0.02  # share of the stage; share of the highest rate
+_RATE = 1e-3
+_WEIGHT_DECAY = 1e-4
+_BETAS = (0.9, 0.98)
+_WARM_UP = 0.02  # share of the stage
+_LAST_RATE = 0.02  # share of the highest rate
 _DECAY = 0.999  # largest decay of the exponential moving average of the weights
 # Layers pretrained on ImageNet learn more slowly.
-_BACKBONE, _BACKBONE_RATE = ("net.pyramid.stem.", "net.pyramid.blocks."), 0.35
+_BACKBONE = ("net.pyramid.stem.", "net.pyramid.blocks.")
+_BACKBONE_RATE = 0.35
 # A checkpoint contains the options, these values, and the states of these objects.
 _VALUES = "elapsed", "step", "stages", "rows", "stage"
 _STATES = "module", "average", "optimizer"
@@ -64,9 +70,11 @@ class Trainer:
         device: torch.device | str = "cpu",
         resume: bool = False,
     ) -> None:
-        self.options, self.out = options, Path(out)
+        self.options = options
+        self.out = Path(out)
         self.weights_path = self.out / f"{options.preset}.safetensors"
-        self.checkpoint, self.device = self.out / CHECKPOINT, torch.device(device)
+        self.checkpoint = self.out / CHECKPOINT
+        self.device = torch.device(device)
         resumes = self.checkpoint.exists()
         if resumes and not resume:
             text = f"{self.checkpoint} exists already:"
@@ -114,12 +122,14 @@ class Trainer:
             shape = (208, 272) if kind == "posed" and self.options.config.any_shape else _SQUARE
             batches = range(_VALIDATION)
             validation[kind] = [data[kind].make(_VALIDATION_BATCH, shape, draw) for _ in batches]
-        saved, origin = self.elapsed, time.perf_counter() - self.elapsed
+        saved = self.elapsed
+        origin = time.perf_counter() - self.elapsed
         if self.step == 0 and self.options.init is not None:
             self._write({}, validation)  # scores before the first steps, which may lower them
         while self.progress < 1:
             figures = self.train_step(data[TRAINING])
-            before, self.elapsed = self.elapsed, time.perf_counter() - origin
+            before = self.elapsed
+            self.elapsed = time.perf_counter() - origin
             self.stages[self.stage]["seconds"] += self.elapsed - before
             ends = self.progress >= 1 or self._place()[0] != self.stage
             saves = ends or self.elapsed - saved > _SAVE_SECONDS
@@ -172,7 +182,8 @@ class Trainer:
             torch.save(state, temporary)
 
     def _load(self, net: DGCNet) -> None:
-        path, name = self.checkpoint, self.options.preset
+        path = self.checkpoint
+        name = self.options.preset
         state = load_checkpoint(path, self.device)
         with read_as(f"a checkpoint of the present {name}", path, WeightsError):
             for name, value in self._fixed_options().items():
@@ -234,7 +245,9 @@ class Trainer:
 
     def _card(self, training: PairSource) -> str:
         """The weights' card in Markdown: training data, options, results and machine."""
-        photos, posed, cuda = training.photos, "none", self.device.type == "cuda"
+        photos = training.photos
+        posed = "none"
+        cuda = self.device.type == "cuda"
         if (pairs := training.posed) is not None:
             scenes = f"{len(pairs.names)} scenes ({', '.join(pairs.names)})"
             posed = f"{len(pairs.frames.unique())} of {scenes}, {len(pairs.frames)} pairs train"
@@ -266,7 +279,8 @@ def initialise_encoder(weights: str | Path, net: DGCNet) -> None:
     Raises WeightsError if the file contains other weights.
     """
     assert isinstance(net.pyramid, Pyramid)
-    path, layers = Path(weights), nn.ModuleDict({"features": vgg_layers(net.pyramid)})
+    path = Path(weights)
+    layers = nn.ModuleDict({"features": vgg_layers(net.pyramid)})
     wanted = {key: value.shape for key, value in layers.state_dict().items()}
     state = {key: value for key, value in read_state(path).items() if key in wanted}
     check_state(path, "VGG-16 in torchvision's layout", state, wanted)

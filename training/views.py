@@ -107,7 +107,8 @@ class Cameras:
 
     def project(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Pixels (B, ..., 2), bounded, and depths (B, ...) of world points (B, ..., 3)."""
-        turn, shift = self.pose[..., :3], _wide(self.pose[..., 3], points)
+        turn = self.pose[..., :3]
+        shift = _wide(self.pose[..., 3], points)
         moved = torch.einsum("bij,b...j->b...i", turn, points) + shift
         focal, middle = _wide(self.K, points).split(2, -1)
         depth = moved[..., 2]
@@ -127,7 +128,8 @@ def _wide(values: Tensor, like: Tensor) -> Tensor:
 
 def about_axis(angle: Tensor, axis: int) -> Tensor:
     """Rotations (..., 3, 3) by angles (...), radians, about x, y or z (axis 0, 1 or 2)."""
-    i, j = (axis + 1) % 3, (axis + 2) % 3
+    i = (axis + 1) % 3
+    j = (axis + 2) % 3
     turn = torch.eye(3, device=angle.device).repeat(*angle.shape, 1, 1)
     turn[..., i, i] = turn[..., j, j] = angle.cos()
     turn[..., j, i] = angle.sin()

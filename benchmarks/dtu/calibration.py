@@ -22,7 +22,9 @@ def read_projection(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         P = -P
     # RQ is QR of the rows and the columns in reverse order.
     q, r = np.linalg.qr(P[::-1, :3].T)
-    upper, R = r.T[::-1, ::-1], q.T[::-1]
+    upper = r.T[::-1, ::-1]
+    R = q.T[::-1]
     signs = np.sign(np.diag(upper))
-    upper, R = upper * signs, signs[:, None] * R
+    upper = upper * signs
+    R = signs[:, None] * R
     return upper / upper[2, 2], R, np.linalg.solve(upper, P[:, 3])

@@ -7,7 +7,8 @@ from matplotlib.figure import Figure
 
 from dgc_pose.viz.figure import new_figure
 
-_DEGREES, _PIXELS = (5.0, 10.0, 20.0, 30.0, 60.0, 90.0, 180.0), (5.0, 10.0, 20.0, 50.0, 100.0)
+_DEGREES = (5.0, 10.0, 20.0, 30.0, 60.0, 90.0, 180.0)
+_PIXELS = (5.0, 10.0, 20.0, 50.0, 100.0)
 # By field of a record: quantity of the panel, its unit, and the candidates for the axis limit
 _PANELS = {
     "rotation_error_deg": ("rotation error", "°", _DEGREES),

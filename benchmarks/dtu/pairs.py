@@ -15,7 +15,8 @@ Light = Literal["0", "1", "2", "3", "4", "5", "6", "max"]  # as in DTU's file na
 # 40 degrees and share 0.4 of the space at the object, in random order, spread over the rotations.
 # Each of DTU's scans has these 49 positions, with one calibration.
 _VIEWS = Path(__file__).with_name("views.txt")
-_FIRST_SCAN, _STEP = 65, 24  # scan 65 begins with the first line, each next scan 24 lines later
+_FIRST_SCAN = 65  # begins with the first line
+_STEP = 24  # lines after which the next scan begins
 _EXPECTED = "Calibration/cal18/pos_001.txt and Rectified/scan1/rect_001_3_r5000.png"
 
 
@@ -36,7 +37,8 @@ def dtu_pairs(root: Path, scan: int | None, light: Light, count: int) -> list[Pa
         find = cache(partial(_view_files, root, number, light))
         for rank in range(len(lines)):
             position1, position2 = lines[(rank + _STEP * (number - _FIRST_SCAN)) % len(lines)]
-            view1, view2 = find(position1), find(position2)
+            view1 = find(position1)
+            view2 = find(position2)
             if view1 is not None and view2 is not None:
                 listed.append((rank, number, view1, view2))
     # The first pairs of each scan, so that all scans have as many; then scan by scan.
@@ -59,9 +61,11 @@ def dtu_pairs(root: Path, scan: int | None, light: Light, count: int) -> list[Pa
 
 def _view_files(root: Path, scan: int, light: Light, position: int) -> tuple[Path, Path] | None:
     """The image of a view and its calibration; None if either is missing."""
-    folder, start = root / "Rectified" / f"scan{scan}", "rect"
+    folder = root / "Rectified" / f"scan{scan}"
+    start = "rect"
     if not folder.is_dir():
-        folder, start = root / "Cleaned" / f"scan{scan}", "clean"
+        folder = root / "Cleaned" / f"scan{scan}"
+        start = "clean"
     stem = f"{start}_{position:03d}_{light if light == 'max' else f'{light}_r5000'}"
     calibration = root / f"Calibration/cal18/pos_{position:03d}.txt"
     for image in (folder / f"{stem}.png", folder / f"{stem}.jpg"):

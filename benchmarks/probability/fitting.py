@@ -41,9 +41,13 @@ _MOST_FOCAL_FIT_DEG = 30.0  # focal lengths of poses worse than this are not use
 _CERTAIN = 30.0  # log-odds of certainty
 _LEAST_SLOPE = 0.2  # of the calibration
 _RIDGE = 1e-3  # on the weights of the choice
-_LAPSE, _MOST_LAPSE = 0.05, 0.5  # lapse of the choice: start value and upper bound
-_SHARPNESSES, _CHANCES = (1.0, 2.0, 2.5, 3.0, 3.5, 4.0, 6.0), (0.01, 0.02, 0.03, 0.05, 0.1, 0.2)
-_NEWTON_STEPS, _LONGEST_STEP, _SMALL_STEP = 100, 2.0, 1e-9
+_LAPSE = 0.05  # start value of the lapse of the choice
+_MOST_LAPSE = 0.5  # its upper bound
+_SHARPNESSES = (1.0, 2.0, 2.5, 3.0, 3.5, 4.0, 6.0)
+_CHANCES = (0.01, 0.02, 0.03, 0.05, 0.1, 0.2)
+_NEWTON_STEPS = 100
+_LONGEST_STEP = 2.0
+_SMALL_STEP = 1e-9
 Samples = Sequence[tuple[Record, Evidence]]
 
 
@@ -59,7 +63,8 @@ def fit_model(rows: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
     ]
     right = np.array([row.any_right for row, _ in samples], bool)
     scenes = np.array([row.scene for row, _ in samples])
-    counts, places = (right.sum(), (~right).sum()), len(np.unique(scenes))
+    counts = (right.sum(), (~right).sum())
+    places = len(np.unique(scenes))
     if min(counts) < _MIN_POSES or places < _MIN_SCENES:
         raise InputError(
             f"{kind}: {counts[0]} right and {counts[1]} wrong poses of {places} scenes to fit on; "
@@ -116,7 +121,8 @@ def fit_choice(rows: Sequence[Record], *, with_map: bool) -> dict[str, float]:
         ]
         return float(_RIDGE * (weights**2).sum() - np.log(np.maximum(chances, 1e-12)).sum())
 
-    start, bounds = [*np.ones(len(names)), _LAPSE], [*len(names) * [(0, None)], (0, _MOST_LAPSE)]
+    start = [*np.ones(len(names)), _LAPSE]
+    bounds = [*len(names) * [(0, None)], (0, _MOST_LAPSE)]
     fitted = optimize.minimize(loss, start, bounds=bounds)
     return {name: round(float(w), 6) for name, w in zip([*names, "lapse"], fitted.x, strict=True)}
 
@@ -174,7 +180,8 @@ def fit_same_place(around: np.ndarray, right: np.ndarray) -> dict[str, float]:
     if min(right.sum(), (~right).sum()) < _MIN_POSES:
         return {"slope": 0.0, "intercept": _CERTAIN}
     fitted = regression(1e6).fit(around[:, None], right)
-    slope, intercept = float(fitted.coef_[0, 0]), float(fitted.intercept_[0])
+    slope = float(fitted.coef_[0, 0])
+    intercept = float(fitted.intercept_[0])
     return {"slope": round(max(slope, 0.0), 6), "intercept": round(intercept, 6)}
 
 
@@ -184,7 +191,8 @@ def _logistic(
     """Weights (F,) of the features, 0 for dropped ones, and the intercept."""
     used = np.arange(X.shape[1])
     while True:
-        mean, deviation = X[:, used].mean(0), np.maximum(X[:, used].std(0), 1e-6)
+        mean = X[:, used].mean(0)
+        deviation = np.maximum(X[:, used].std(0), 1e-6)
         coefficients, intercept = _ridge_fit((X[:, used] - mean) / deviation, right, strength)
         signed = coefficients * signs[used]
         if (signed >= 0).all() or len(used) == 1:
@@ -231,7 +239,8 @@ def _platt(odds: np.ndarray, right: np.ndarray) -> tuple[float, float]:
     high = (right.sum() + 1) / (right.sum() + 2)
     low = 1 / ((~right).sum() + 2)
     target = np.where(right, high, low)
-    X, y = np.repeat(odds, 2)[:, None], np.tile([True, False], len(odds))
+    X = np.repeat(odds, 2)[:, None]
+    y = np.tile([True, False], len(odds))
     weight = np.column_stack([target, 1 - target]).ravel()
     fitted = regression(1e6).fit(X, y, sample_weight=weight)
     return max(float(fitted.coef_[0, 0]), _LEAST_SLOPE), float(fitted.intercept_[0])
@@ -243,10 +252,13 @@ def _error_model(samples: Samples, part: str) -> dict[str, float]:
     The quantile is the least that holds for 90 % of the poses in cross-validation over scenes,
     because the errors within a scene are correlated.
     """
-    X, y, scenes = list[list[float]](), list[float](), list[str]()
+    X = list[list[float]]()
+    y = list[float]()
+    scenes = list[str]()
     for row, evidence in samples:
         if part == "focal":
-            raw, error = evidence.raw_focal_90_percent, row.focal_error_percent
+            raw = evidence.raw_focal_90_percent
+            error = row.focal_error_percent
         else:
             raw = getattr(evidence, f"raw_{part}_90_deg")
             error = getattr(row.best, f"{part}_error_deg")

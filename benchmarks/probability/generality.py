@@ -28,7 +28,8 @@ def generality_text(rows: Mapping[str, Sequence[Record]], kind: MatchKind) -> st
     others = [name for name in rows if name not in fitted_on]
     bins = [f"{low:g} to {high:g}" for low, high in zip(_EDGES, _EDGES[1:], strict=False)]
     heading = ("matches of", "fitted without", "on", "pairs", *bins, "claims", "wrong", "R", "t")
-    table, joined = [heading], dict[tuple[str, str], list[Judged]]()
+    table = [heading]
+    joined = dict[tuple[str, str], list[Judged]]()
     for left_out in (_NONE, *fitted_on):
         fitted = [row for name in fitted_on if name != left_out for row in rows[name]]
         fields = {"report": [fit_model(fitted, kind)], "scenes": _by_fold(fitted, kind)}

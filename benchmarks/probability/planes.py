@@ -87,7 +87,8 @@ def _wall(photos: Photos, draw: Draw, tile: float, relief: float) -> Rooms:
     centre = torch.cat([F.pad(tiles, (0, 1), value=_BEHIND), torch.column_stack(middle)])
     of_tile = torch.tensor([[tile / 2, tile / 2, _BEHIND]]).expand(_TILES**2, 3)
     half = torch.cat([of_tile, torch.column_stack(sides)])
-    spans, count = ((tile, tile * 1.001),) * 2, 1 + len(half)
+    spans = ((tile, tile * 1.001),) * 2
+    count = 1 + len(half)
     photo, span, origin, weight, gain = random_textures(1, count, photos, draw, spans)
     return Rooms(
         torch.eye(3).expand(1, count, 3, 3),
@@ -106,7 +107,8 @@ def _allows_two_poses(flat: Rooms, first: Cameras, second: Cameras, size: int) -
     """Whether the plane fills both views, these overlap at an angle in `_ANGLE_DEG`, and the
     homography has another pose with the points in front of both cameras."""
     pose = second.seen_by(first).pose[0].double().numpy()
-    R, t = pose[:, :3], pose[:, 3]
+    R = pose[:, :3]
+    t = pose[:, 3]
     if not _ANGLE_DEG[0] <= math.degrees(math.acos(min(1.0, R[2, 2]))) <= _ANGLE_DEG[1]:
         return False
     grid = pixel_grid((_PROBE, _PROBE), first.K.device).view(1, -1, 2) * size / (_PROBE - 1) - 0.5
@@ -120,7 +122,8 @@ def _allows_two_poses(flat: Rooms, first: Cameras, second: Cameras, size: int) -
         rays[shared][:, :2].double().numpy() for rays in (first.rays(found), second.rays(grid))
     )
     # The plane: normal @ x1 = away
-    normal, away = first.pose[0, :, 2].double().numpy(), -float(first.centre[0, 2])
+    normal = first.pose[0, :, 2].double().numpy()
+    away = -float(first.centre[0, 2])
     return any(
         max(rotation_error_deg(R2, R), translation_error_deg(t2, t)) > OTHER_DEG
         and min(np.min(depth) for depth in depths(x1, x2, R2, t2)) > 0

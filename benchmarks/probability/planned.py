@@ -48,8 +48,12 @@ BlankKind = Literal["gradient", "noise", "stripes", "sky"]
 BLANKS: tuple[BlankKind, ...] = get_args(BlankKind)
 Alteration = Literal["swapped", "enlarged", "bordered", "turned", "darkened"]
 ALTERATIONS: tuple[Alteration, ...] = get_args(Alteration)
-_LONGER, _ZOOM, _ZOOM_EACH = (1.4, 3.0), (1.1, 1.6), 4  # factors of f; every 4th pair has a zoom
-_SCALE, _BORDER, _GAMMA = 1.5, 0.1, 1.8  # the border over the longer side
+_LONGER = (1.4, 3.0)  # factors of f
+_ZOOM = (1.1, 1.6)  # factors of f
+_ZOOM_EACH = 4  # every 4th pair has a zoom
+_SCALE = 1.5
+_BORDER = 0.1  # over the longer side
+_GAMMA = 1.8
 _TURN = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # to the axes of an image turned clockwise
 VIEW_SIZE = 640  # pixels a side of a rendered view
 _PLANE_PHOTO = 480  # pixels, shorter side of a photograph on a plane: a view shows only a few
@@ -113,7 +117,8 @@ def planned(entry: PlanEntry, data: Path, lists: Path) -> list[PlannedPair]:
     data: the folder that the plan's paths are relative to; lists: the folder of the entries' lists.
     Raises InputError or ImageError if the data do not match the plan.
     """
-    folder, listed = data / entry.path, lists / f"{entry.name}.txt.gz"
+    folder = data / entry.path
+    listed = lists / f"{entry.name}.txt.gz"
     scenes = entry.pairs * [entry.name]
     make: Callable[[int], PosedPair]  # by the number of the pair
     if entry.kind in ("list", "pasted", "zoomed"):
@@ -136,7 +141,8 @@ def planned(entry: PlanEntry, data: Path, lists: Path) -> list[PlannedPair]:
         make = _rendered(folder, entry)
 
     def made(number: int) -> PosedPair:
-        pair, way = make(number), ALTERATIONS[number % len(ALTERATIONS)]
+        pair = make(number)
+        way = ALTERATIONS[number % len(ALTERATIONS)]
         return altered(pair, way) if entry.altered else pair
 
     found = []
@@ -153,7 +159,9 @@ def altered(pair: PosedPair, way: Alteration) -> PosedPair:
     """The pair with image 2 first or changed, with the true cameras and pose of the result."""
     pixels = pair.image2.pixels
     assert pair.R is not None and pair.t is not None
-    K, R, t = pair.camera2.K.copy(), pair.R, pair.t
+    K = pair.camera2.K.copy()
+    R = pair.R
+    t = pair.t
     height, width = pixels.shape[:2]
     if way == "swapped":
         return PosedPair(pair.image2, pair.image1, pair.camera2, pair.camera1, R.T, -R.T @ t)
@@ -167,7 +175,9 @@ def altered(pair: PosedPair, way: Alteration) -> PosedPair:
         pixels = cv2.copyMakeBorder(pixels, *sides, cv2.BORDER_CONSTANT, value=(128, 128, 128))
     elif way == "turned":
         K[:2] = [K[1, 1], 0, height - 1 - K[1, 2]], [0, K[0, 0], K[0, 2]]
-        pixels, R, t = np.ascontiguousarray(np.rot90(pixels, -1)), _TURN @ R, _TURN @ t
+        pixels = np.ascontiguousarray(np.rot90(pixels, -1))
+        R = _TURN @ R
+        t = _TURN @ t
     else:
         pixels = (255 * (pixels / 255) ** _GAMMA).round().astype(np.uint8)
     image2 = replace(pair.image2, pixels=pixels)
@@ -178,7 +188,8 @@ def altered(pair: PosedPair, way: Alteration) -> PosedPair:
 def _pasted(listed: ListedPairs, seed: int, number: int) -> PosedPair:
     """A pair of two places that look alike in part: image 2 keeps an ellipse; the rest is its own
     mirror image (odd numbers) or image 1 of another pair (even numbers)."""
-    rng, pair = np.random.default_rng([seed, number]), listed.pair(number)
+    rng = np.random.default_rng([seed, number])
+    pair = listed.pair(number)
     pixels = pair.image2.pixels
     height, width = size = pixels.shape[:2]
     if number % 2:
@@ -201,22 +212,26 @@ def _pasted(listed: ListedPairs, seed: int, number: int) -> PosedPair:
 
 def _zoomed(listed: ListedPairs, seed: int, number: int) -> PosedPair:
     """A pair with longer lenses, or a zoom between its images: their middles, enlarged."""
-    rng, pair = np.random.default_rng([seed, number]), listed.pair(number)
+    rng = np.random.default_rng([seed, number])
+    pair = listed.pair(number)
     factors = np.full(2, np.exp(rng.uniform(*np.log(_LONGER))))
     if number % _ZOOM_EACH == 0:
         factors = np.array([1.0, rng.uniform(*_ZOOM)])
-    images, cameras = [], []
+    images = []
+    cameras = []
     for image, camera, factor in zip(
         (pair.image1, pair.image2), (pair.camera1, pair.camera2), factors, strict=True
     ):
         width, height = image.size
         part = round(width / factor), round(height / factor)
-        left, top = (width - part[0]) // 2, (height - part[1]) // 2
+        left = (width - part[0]) // 2
+        top = (height - part[1]) // 2
         pixels = image.pixels[top : top + part[1], left : left + part[0]]
         K = camera.K - np.array([[0, 0, left], [0, 0, top], [0, 0, 0]])
         images.append(replace(image, pixels=resize(np.ascontiguousarray(pixels), image.size)))
         cameras.append(replace(camera, K=K, size=part).resized(image.size))
-    (image1, image2), (camera1, camera2) = images, cameras
+    image1, image2 = images
+    camera1, camera2 = cameras
     return PosedPair(image1, image2, camera1, camera2, pair.R, pair.t)
 
 
@@ -262,7 +277,8 @@ def _unrelated(paths: Sequence[Sequence[Path]], number: int) -> PosedPair:
 def _textureless(photographs: Sequence[Path], seed: int, number: int) -> PosedPair:
     """A blank image of each kind in turn, paired with itself, another blank or a photograph."""
     rng = np.random.default_rng([seed, number])
-    kind, way = BLANKS[number % len(BLANKS)], number // len(BLANKS) % 3
+    kind = BLANKS[number % len(BLANKS)]
+    way = number // len(BLANKS) % 3
     first = blank(kind, _BLANK_SIZE, rng)
     if way == 0:
         second = first.copy()

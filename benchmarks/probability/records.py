@@ -90,11 +90,13 @@ def collect(
 
     Raises the errors of `pair.make`.
     """
-    posed, entry = pair.make(), pair.entry
+    posed = pair.make()
+    entry = pair.entry
     images = posed.image1, posed.image2
     camera1 = replace(posed.camera1, size=posed.image1.size)
     camera2 = replace(posed.camera2, size=posed.image2.size)
-    posed, cameras = replace(posed, camera1=camera1, camera2=camera2), (camera1, camera2)
+    posed = replace(posed, camera1=camera1, camera2=camera2)
+    cameras = (camera1, camera2)
     scores = [focal_scores(image) for image in images]
     withheld = _withheld(pair, cameras, scores)
     results: dict[str, list[Any]] = {}
@@ -170,7 +172,8 @@ def records(
 ) -> list[Record]:
     """The records of a method and of these entries, from the results of `collect`. Pieces of runs
     that are joined may lack a method."""
-    by_name, rows = {entry.name: entry for entry in entries}, []
+    by_name = {entry.name: entry for entry in entries}
+    rows = []
     for piece in pieces:
         for fields in piece["records"].get(method, ()):
             evidence = fields["evidence"]

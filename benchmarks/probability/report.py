@@ -69,7 +69,8 @@ def claims_table(poses: Sequence[Judged]) -> str:
         groups.setdefault(pose.record.entry.name, []).append(pose)
     for name, members in {**groups, "all": poses}.items():
         claims = [pose for pose in members if pose.by_probability]
-        right, wrong = sum(p.right for p in members), sum(not p.right for p in claims)
+        right = sum(p.right for p in members)
+        wrong = sum(not p.right for p in claims)
         share = f" ({100 * wrong / len(claims):.1f} %)" if claims else ""
         mean = f"{100 * np.mean([p.probability for p in claims]):.1f} %" if claims else "-"
         counts = len(members), right, len(claims), f"{wrong}{share}", right - len(claims) + wrong

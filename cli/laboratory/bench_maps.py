@@ -63,7 +63,8 @@ def bench_maps(bench: MapBenchOptions) -> None:
     from dgc_pose.benchmarks.report import finite_data, split_names, write_rows
     from dgc_pose.viz import save_figure
 
-    root, out = bench.homographies, bench.out
+    root = bench.homographies
+    out = bench.out
     pairs = find_homography_pairs(root)
     sequences = len({pair.path1.parent for pair in pairs if pair.group in VIEWPOINTS})
     names = shipped() if bench.methods is None else split_names(bench.methods)

@@ -91,7 +91,8 @@ def bench_model(
     A location is right if R is within 5 degrees and the position within 5 % of the extent.
     """
     model = true_model(path, bench.images)
-    locates, choice = bench.locate or bench.other is not None, parse_pair_choice(bench.pairs)
+    locates = bench.locate or bench.other is not None
+    choice = parse_pair_choice(bench.pairs)
     bench.out.mkdir(parents=True, exist_ok=True)
     results: list[Summary] = []
     for method in split_names(bench.methods):

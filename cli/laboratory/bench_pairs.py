@@ -121,7 +121,8 @@ def run_bench(
     estimation: EstimationOptions,
 ) -> None:
     """Score methods on pairs; print the tables and write the files of `bench-pairs`."""
-    out, paper = options.out, options.protocol == "paper"
+    out = options.out
+    paper = options.protocol == "paper"
     if paper:
         matcher, estimation = paper_options(matcher, estimation)
     folders = _folders(options.matches)
@@ -147,7 +148,8 @@ def run_bench(
             click.echo(f"{len(done)} of {len(listed)} pairs are done already")
         numbers = range(len(done), len(listed))
         for k in tqdm(numbers, total=len(listed), initial=len(done), unit="pair", disable=None):
-            each, pair = zip(methods, matchers, strict=True), pairs.pair(k)
+            each = zip(methods, matchers, strict=True)
+            pair = pairs.pair(k)
             add([score(all_names[k], pair, *method) for method in each])
     scores = [row for of_pair in done for row in of_pair]
     figures = columns(scores)

@@ -25,7 +25,8 @@ from dgc_pose.estimation.camera_model import ModelName, model_named, with_model
 from dgc_pose.estimation.intrinsics_prior import SIZE, may_be_crop, parameter_stds, with_parameters
 from dgc_pose.estimation.least_squares import EFFICIENT
 
-_STARTS, _STEPS = 101, 50
+_STARTS = 101
+_STEPS = 50
 _MAX_STD_SHARE = 0.9  # of the prior's deviation of ln f: pairs with a wider fit are skipped
 _FAR_CENTRE_STDS = 1.5  # deviations: a principal point that moved further is far from its prior
 _MIN_VARIANCE = 1e-9  # as a share of the prior's: keeps the information finite
@@ -34,7 +35,8 @@ _SPLIT = "most pairs of its size fit a separate focal length for each photograph
 _MIN_GROUP = 3  # fewest images of a camera that one of them can contradict
 _MIN_INLIERS = 50  # of a pair that should determine its cameras
 _AGREEING_SHARE = 0.5  # of these pairs; below it, a photograph gets an individual camera
-_AGREEING_STDS, _SAME_STDS = 3.0, 2.0  # limits for ln f: a pair and its group; two cameras
+_AGREEING_STDS = 3.0  # limit for ln f of a pair and its group
+_SAME_STDS = 2.0  # limit for ln f of two cameras
 _SAME_FOCAL = 0.01  # deviation of ln f of one camera between photographs, by focusing
 _PARTNER_FOCAL_STD = 0.15  # of ln f, below which a camera helps to determine another
 _MOST_FOCAL_STD = 0.1  # of ln f, below which an individual camera is accepted
@@ -127,7 +129,8 @@ def _is_contradicted(
 ) -> bool:
     """Whether fewer than half of the pairs of an image within its group agree with `camera`, the
     group's. Only pairs that should determine a camera count."""
-    agreeing, count = 0, 0
+    agreeing = 0
+    count = 0
     for row in rows:
         if name in row.names and {*row.names} <= {*names}:
             if row.status == "mirrored":  # a wrong camera may be the cause
@@ -196,7 +199,8 @@ def pool(
     # and probability that the pose is right.
     fits: dict[tuple[str, ...], list[tuple[np.ndarray, np.ndarray, float]]] = defaultdict(list)
     for row in rows:
-        pose, fitted = row.pose, fit_of(row)
+        pose = row.pose
+        fitted = fit_of(row)
         if fitted is None or pose is None or pose.camera_covariance is None:
             continue
         first, second = (shared.get(name, (name,)) for name in row.names)
@@ -227,7 +231,8 @@ def pool(
             for value, covariance, weight in fits[names]
             if covariance.diagonal()[open_[0]] < widest and weight > 0
         ]
-        value, std = np.zeros(SIZE), np.zeros(SIZE)
+        value = np.zeros(SIZE)
+        std = np.zeros(SIZE)
         std[open_] = prior[open_]
         if useful:
             values, covariances, weights = (np.array(of) for of in zip(*useful, strict=True))
@@ -258,9 +263,11 @@ def pooled_fit(
     that share an image have correlated errors: they count as at most images / 2 pairs. Fits that
     scatter more than their covariances widen the result.
     """
-    count, order = len(prior), np.lexsort(values.T[::-1])  # the same sums for any order
+    count = len(prior)
+    order = np.lexsort(values.T[::-1])  # the same sums for any order
     # In units of the prior's deviations: its information is then 1 along each axis.
-    weight, values = weight[order], values[order] / prior
+    weight = weight[order]
+    values = values[order] / prior
     variances, axes = np.linalg.eigh(covariances[order] / np.outer(prior, prior))
     information = 1 / np.maximum(variances, _MIN_VARIANCE)
     of_matches = np.maximum(information - 1, 0)  # along the axes, without the prior

@@ -33,7 +33,9 @@ CELLS = 80  # along the longer side of an image
 _LEAST_SHARED = 8  # cells with depths of both pairs, to measure the scale between two pairs
 # Limits for three poses to agree: the error of the rotations around the loop, degrees; the gap that
 # the translations leave, over the longest. Or, if larger, this multiple of expected errors.
-_ROTATION_DEG, _GAP, _ERRORS = 4.0, 0.2, 2.0
+_ROTATION_DEG = 4.0
+_GAP = 0.2
+_ERRORS = 2.0
 _CLEAR = 2.5  # times these limits: beyond, three poses disagree; in between, it is unclear
 _FEW = 2  # pairs of an image with inliers in a cell, up to which the cell counts as unshared
 # In folders of up to 9 photographs, `log_unshared_cells` of right pairs falls by this much per unit
@@ -46,7 +48,8 @@ _MOST = 0.9999
 _UNKNOWN = 0.9  # probability of a pose if its own is not known
 _MOST_LOG_ODDS = 5.0  # in a folder with repeats
 # Log-odds per unit of each value of `evidence_of_pairs`, in a folder with repeats
-_WEIGHTS, _INTERCEPT = np.array([0.228, 5.227, 0.689]), 0.391
+_WEIGHTS = np.array([0.228, 5.227, 0.689])
+_INTERCEPT = 0.391
 _QUANTILE = 0.75  # of the folder's pairs, with which each pair is compared
 # Prior log-odds for a folder without repeats: at least, and per pair, as pairs are not independent.
 # None of 300 folders of 4 to 9 photographs of 16 posed scenes is then taken for one with repeats
@@ -56,7 +59,8 @@ _NO_REPEATS_PER_PAIR = 0.3
 # to a factor
 _AGREE, _DISAGREE = np.array([[0.8, 1.0, 0.02, 1.0], [0.8, 1.0, 1.0, 0.02]])
 _FULL_TRIPLES = 4  # of a pair; with more, each counts less, as they are not independent
-_ROUNDS, _DAMPING = 60, 0.5
+_ROUNDS = 60
+_DAMPING = 0.5
 _MAX_MESSAGE_LOG_ODDS = 8.0  # log-odds
 
 
@@ -88,11 +92,15 @@ class PlacedPair:
         pose = pair.row.pose
         assert pose is not None and pose.R is not None
         matches = pair.matches.subset(pose.inliers)
-        points, cells, log_depths = (matches.points1, matches.points2), [], []
-        along, t = [np.full(len(matches), np.nan)] * 2, np.full(3, np.nan)
+        points = (matches.points1, matches.points2)
+        cells = []
+        log_depths = []
+        along = [np.full(len(matches), np.nan)] * 2
+        t = np.full(3, np.nan)
         if pose.t is not None:
             rays1, rays2 = (c.normalise(p) for c, p in zip(cameras, points, strict=True))
-            t, along = pose.t, list(depths(rays1, rays2, pose.R, pose.t))
+            t = pose.t
+            along = list(depths(rays1, rays2, pose.R, pose.t))
             front = (along[0] > 0) & (along[1] > 0)
             with np.errstate(divide="ignore", invalid="ignore"):
                 along = [np.where(front & np.isfinite(z), np.log(z), np.nan) for z in along]
@@ -101,7 +109,8 @@ class PlacedPair:
             cells.append(unique)
             log_depths.append(values[first].astype(np.float32))
         errors = pose.rotation_error_90_deg or 0.0, pose.translation_error_90_deg or 0.0
-        order, R = (0, 1), pose.R
+        order = (0, 1)
+        R = pose.R
         if images[0] > images[1]:
             order, R, t = (1, 0), R.T, -R.T @ t
         a, b = order
@@ -145,12 +154,15 @@ def evidence_of_pairs(
     matches and `log_unshared_cells`, the last two without the effect of the rotation and minus the
     folder's quantile; NaN if unknown."""
     number = {name: k for k, name in enumerate(plan.names)}
-    cameras, rows, placed = plan.final_cameras, list[PairRow](), list[PlacedPair]()
+    cameras = plan.final_cameras
+    rows = list[PairRow]()
+    placed = list[PlacedPair]()
     values = list[tuple[float, float]]()
     key_points = list[bool]()
     posed = (p for p in pairs if p.row.pose is not None and p.row.pose.status in CONFIGURATIONS)
     for pair in islice(posed, most):
-        row, pose = pair.row, pair.row.pose
+        row = pair.row
+        pose = pair.row.pose
         assert pose is not None and pose.R is not None  # by its status
         name1, name2 = row.names
         both = row.fitted_cameras or (cameras[name1], cameras[name2])
@@ -208,7 +220,8 @@ def solutions(
     """
     count = np.bincount(found.ravel(), minlength=len(probable))
     weight = np.minimum(1, _FULL_TRIPLES / np.maximum(count, 1))
-    likely, solved = np.where(agree[:, None], _AGREE, _DISAGREE), []
+    likely = np.where(agree[:, None], _AGREE, _DISAGREE)
+    solved = []
     for before in (probable, with_repeats):
         after = _propagate(before, found, likely, weight)
         right = after > 0
@@ -234,7 +247,8 @@ def _propagate(
         right = 1 / (1 + np.exp(-sent.clip(-_MAX_MESSAGE_LOG_ODDS, _MAX_MESSAGE_LOG_ODDS)))
         new = np.empty_like(messages)
         for k in range(3):
-            a, b = right[:, k - 1], right[:, k - 2]
+            a = right[:, k - 1]
+            b = right[:, k - 2]
             others = np.stack([(1 - a) * (1 - b), a + b - 2 * a * b, a * b], 1)  # 0 to 2 are right
             new[:, k] = np.log((likely[:, 1:] * others).sum(1) / (likely[:, :3] * others).sum(1))
         messages = _DAMPING * messages + (1 - _DAMPING) * new
@@ -270,7 +284,8 @@ def triples(pairs: Sequence[PlacedPair]) -> tuple[np.ndarray, np.ndarray]:
         if c in near[b]
     ]
     images, found = np.array(those, dtype=np.int64).reshape(-1, 2, 3).swapaxes(0, 1)
-    R, t = np.array([p.R for p in pairs]).reshape(-1, 3, 3), np.array([p.t for p in pairs])
+    R = np.array([p.R for p in pairs]).reshape(-1, 3, 3)
+    t = np.array([p.t for p in pairs])
     errors = np.array([p.error_deg for p in pairs]).reshape(-1, 2)
     t = t.reshape(-1, 3)
     e12, e23, e13 = found.T
@@ -293,7 +308,8 @@ def _log_ratios(pairs: Sequence[PlacedPair]) -> dict[tuple[int, int, int], float
     ratios = {}
     for image, those in _pairs_by_image(pairs).items():
         for (first, side1), (second, side2) in combinations(those, 2):
-            a, b = pairs[first], pairs[second]
+            a = pairs[first]
+            b = pairs[second]
             _, in_a, in_b = np.intersect1d(
                 a.cells[side1], b.cells[side2], assume_unique=True, return_indices=True
             )
@@ -301,7 +317,8 @@ def _log_ratios(pairs: Sequence[PlacedPair]) -> dict[tuple[int, int, int], float
             difference = difference[np.isfinite(difference)]
             if len(difference) >= _LEAST_SHARED:
                 ratio = float(np.median(difference))
-                ratios[image, first, second], ratios[image, second, first] = ratio, -ratio
+                ratios[image, first, second] = ratio
+                ratios[image, second, first] = -ratio
     return ratios
 
 

@@ -17,7 +17,8 @@ from dgc_pose.system.files import read_as
 
 # Statuses of pairs without an estimate. BAD_INPUT: an image or camera is unusable. FAILED: matching
 # or estimation raised an unexpected error; a resumed batch matches the pair again.
-BAD_INPUT, FAILED = "bad_input", "failed"
+BAD_INPUT = "bad_input"
+FAILED = "failed"
 MIN_FOLDER_PROBABILITY = (
     0.6  # folder probability to accept a pose; `fit-folders` has fewest errors with it
 )
@@ -106,17 +107,20 @@ def parse_row(text: str, index: int, where: str) -> PairRow:
     """The row of a line of JSON. Raises InputError, with `where`, if the line is not a row."""
     with read_as("a row of a batch", where):
         data: Any = json.loads(text)
-        names, status = (str(data["name1"]), str(data["name2"])), data["status"]
+        names = (str(data["name1"]), str(data["name2"]))
+        status = data["status"]
         second = bool(data.get("second", False))  # rows of earlier versions lack it
         if status in (BAD_INPUT, FAILED):
-            reason, bad = str(data["warnings"][0]), dict(data["bad_images"])
+            reason = str(data["warnings"][0])
+            bad = dict(data["bad_images"])
             return PairRow(*names, status, reason, bad_images=bad, index=index, second=second)
         try:
             pose = RelativePose.from_dict(data | {"seconds": {}})
         except InputError as error:
             raise ValueError(str(error)) from None
         model = model_named(data["camera_model"]).name
-        probability, (agree, differ) = data["folder_probability"], data["folder_triples"]
+        probability = data["folder_probability"]
+        agree, differ = data["folder_triples"]
         return PairRow(
             *(*names, status, pose.reason, pose, data["error_px"], model),
             index=index,

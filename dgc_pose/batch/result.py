@@ -28,7 +28,9 @@ from dgc_pose.estimation.status import STATUSES
 from dgc_pose.system.files import naming_path, replaced, require_room, write_text
 from dgc_pose.system.texts import write_json
 
-PAIRS, MATCHES, SUMMARY = "pairs.jsonl", "matches.h5", "summary.json"
+PAIRS = "pairs.jsonl"
+MATCHES = "matches.h5"
+SUMMARY = "summary.json"
 CAMERAS = "cameras.csv"
 _COLUMNS = (
     *("name", "fx", "fy", "cx", "cy", "width", "height", "focal_std", "centre_std_px"),
@@ -60,7 +62,8 @@ def read_batch(out: Path) -> Batch:
     if not (out / STORE).is_file():
         raise InputError(f"{out} has no {STORE}: it is not a batch folder of this version")
     with open_store(out) as store:
-        plan, summary = store.plan, store.summary
+        plan = store.plan
+        summary = store.summary
         if plan is None or summary is None:
             raise InputError(f"{out}: the batch is unfinished: --resume continues it")
         rows = store.rows("result")
@@ -168,7 +171,9 @@ def write_matches(path: Path, pairs: Iterable[MatchedPair]) -> None:
     """Write the matches of pairs."""
     with h5py.File(path, "w") as file:
         for pair in pairs:
-            group, matches, pose = group_name(*pair.row.names), pair.matches, pair.row.pose
+            group = group_name(*pair.row.names)
+            matches = pair.matches
+            pose = pair.row.pose
             file[f"{group}/keypoints0"] = matches.points1.astype(np.float32)
             file[f"{group}/keypoints1"] = matches.points2.astype(np.float32)
             file[f"{group}/scores"] = matches.confidence.astype(np.float32)

@@ -97,7 +97,8 @@ def run_batch(
     if choice is None and source.pairs is None:
         many = len(source.names) > _EXHAUSTIVE_UP_TO
         choice = PairChoice("auto", 10) if many else PairChoice("exhaustive")
-    weights, runtime = matcher.weights, matcher.runtime
+    weights = matcher.weights
+    runtime = matcher.runtime
     file = find_weights(weights) if weights in shipped() else Path(weights)
     digest = hashlib.sha256(read_bytes(file)).hexdigest()[:16] if file.is_file() else None
     if runtime == "auto" and digest is not None:  # the default differs between machines
@@ -124,7 +125,8 @@ def run_batch(
         matched: list[PairRow] = []
         if (out / STORE).is_file():
             with open_store(out) as store:
-                before, is_finished = store.plan, store.summary is not None
+                before = store.plan
+                is_finished = store.summary is not None
                 if before is not None:
                     matched = store.rows("matched")
         again = {row.index for row in matched if row.status == FAILED}
@@ -180,7 +182,8 @@ def _pose(
     """Store the pairs of the result, with poses by the cameras of the folder. Returns the plan with
     these cameras, and the list of the pooled cameras."""
     cameras: list[PooledCamera] = []
-    pairs, earlier = store.pairs("matched"), store.rows("matched")
+    pairs = store.pairs("matched")
+    earlier = store.rows("matched")
     if plan.uncertain:
         cameras = folder_cameras(poses, plan.cameras)
         plan = replace(plan, pooled=by_image(cameras))
@@ -205,7 +208,8 @@ def _with_folder_checks(
     mirrored = _mirrored(earlier)
     inliers = {row.names: row.num_inliers if row.success else 0 for row in earlier}
     for pair in pairs:
-        row, pose = pair.row, pair.row.pose
+        row = pair.row
+        pose = pair.row.pose
         one = mirrored.intersection(row.names)
         if pose is not None and pose.t is not None and len(one) == 1:
             why = f"most pairs show {one.pop()} as a mirror image of the other photographs"

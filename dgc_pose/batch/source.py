@@ -28,7 +28,9 @@ from dgc_pose.images.image import load_image, mask_file, masked, size_in_file, u
 from dgc_pose.system.parallel import in_threads, one_blas_thread
 
 STORE = "batch.db"  # in the folder of a batch
-BATCH, PAGE = "batch", "model.html"  # in the folder of a reconstruction
+# In the folder of a reconstruction
+BATCH = "batch"
+PAGE = "model.html"
 _MOST_WITH_LINES = 16  # photographs of one camera whose lines are detected
 _DATABASES = (".db", ".sqlite", ".sqlite3")
 # Size in bytes and time of last change in nanoseconds, of a photograph and then of its mask.
@@ -213,7 +215,8 @@ def _require_one_size(
     if K is None or K.size is not None or calibration.details.size is not None:
         return
     common = [h for n, h in headers.items() if calibration.named(source.root, n) is None]
-    stored, upright = sorted({size_in_file(h) for h in common}), {h.size for h in common}
+    stored = sorted({size_in_file(h) for h in common})
+    upright = {h.size for h in common}
     if len(stored) > 1 and len(upright) > 1:
         first, second, *_ = map(times, stored)
         sizes = f"is a single K, and the images have several sizes ({first} and {second})"
@@ -274,7 +277,8 @@ def similarities(
     the number of compared pairs, and of all pairs.
     """
     cells = [feature.astype(np.float32) for feature in features]
-    scores, count = np.eye(len(cells), dtype=np.float32), len(cells)
+    scores = np.eye(len(cells), dtype=np.float32)
+    count = len(cells)
     for i in range(1, count):
         row = in_threads(partial(similarity, cells[i]), cells[:i])
         scores[i, :i] = scores[:i, i] = row
@@ -310,7 +314,8 @@ def most_similar(scores: np.ndarray, most: int) -> list[tuple[int, int]]:
 def _spanning_tree(scores: np.ndarray) -> Iterator[tuple[int, int]]:
     """The edges of the maximum spanning tree of scores (N, N) (Prim 1957)."""
     count = len(scores)
-    outside, nearest = np.ones(count, dtype=bool), np.zeros(count, dtype=np.int64)
+    outside = np.ones(count, dtype=bool)
+    nearest = np.zeros(count, dtype=np.int64)
     outside[:1] = False
     best = scores[0].copy() if count else np.zeros(0)
     for _ in range(count - 1):
@@ -318,4 +323,5 @@ def _spanning_tree(scores: np.ndarray) -> Iterator[tuple[int, int]]:
         yield int(nearest[node]), node
         outside[node] = False
         closer = outside & (scores[node] > best)
-        best[closer], nearest[closer] = scores[node][closer], node
+        best[closer] = scores[node][closer]
+        nearest[closer] = node

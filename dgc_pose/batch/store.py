@@ -179,7 +179,8 @@ class BatchStore:
     raises OSError."""
 
     def __init__(self, path: Path, database: sqlite3.Connection) -> None:
-        self._path, self._database = path, database
+        self._path = path
+        self._database = database
 
     @contextmanager
     def change(self) -> Iterator[None]:
@@ -209,7 +210,8 @@ class BatchStore:
     def add(self, table: Table, pairs: Collection[MatchedPair]) -> None:
         """Store pairs, within a `change`. Pairs of "result" must be in "matched" already."""
         for pair in pairs:
-            row, pose = pair.row, pair.row.pose
+            row = pair.row
+            pose = pair.row.pose
             of_pose = {} if pose is None else {"inliers": pose.inliers}
             if pose is not None and pose.camera_covariance is not None:
                 of_pose["camera_covariance"] = pose.camera_covariance
@@ -281,7 +283,8 @@ class BatchStore:
                 points1, points2, confidence = (arrays[f"map_{name}"] for name in _FIELDS)
                 sample = Matches(points1, points2, confidence, map_error_px)
             if row.pose is not None:
-                inliers, covariance = of_pose["inliers"], of_pose.get("camera_covariance")
+                inliers = of_pose["inliers"]
+                covariance = of_pose.get("camera_covariance")
                 pose = replace(row.pose, inliers=inliers, camera_covariance=covariance)
                 row = replace(row, pose=pose)
             return MatchedPair(row, matches, sample)
@@ -304,7 +307,8 @@ class BatchStore:
 
 
 def _arrays(pair: MatchedPair) -> dict[str, np.ndarray]:
-    matches, sample = pair.matches, pair.map_matches
+    matches = pair.matches
+    sample = pair.map_matches
     arrays = {name: getattr(matches, name).astype(np.float32) for name in _FIELDS}
     if sample is not None:
         arrays |= {f"map_{name}": getattr(sample, name).astype(np.float32) for name in _FIELDS}

@@ -70,7 +70,8 @@ class Worker:
     """
 
     def __init__(self, job: Job) -> None:
-        self.job, self.bad = job, dict(job.bad)
+        self.job = job
+        self.bad = dict(job.bad)
         self.cache = ImageCache(job.memory_bytes, beside_bytes=FEATURE_BYTES)
         self.matcher = job.matcher.load(self.cache)
 
@@ -114,7 +115,8 @@ class Worker:
         pair = cameras[names[0]], cameras[names[1]]
         options = replace(self.job.estimation, second=second)
         solved = solve_pair(image1, image2, pair, self.matcher, options)
-        dense, exact = solved.correspondence_map, pair[0].exact and pair[1].exact
+        dense = solved.correspondence_map
+        exact = pair[0].exact and pair[1].exact
         row = row_of(names, reject_contradicted_K(solved.pose, pair), solved.matches.error_px)
         return MatchedPair(row, solved.matches, None if dense is None or exact else dense.sample)
 
@@ -141,7 +143,8 @@ class Worker:
         return MatchedPair(PairRow(*names, BAD_INPUT, "; ".join(bad.values()), bad_images=bad))
 
     def _estimated(self, pair: MatchedPair, cameras: Cameras, fit_cameras: bool) -> MatchedPair:
-        row, names = pair.row, pair.row.names
+        row = pair.row
+        names = pair.row.names
         if row.pose is None or all(self.job.cameras[name].exact for name in names):
             return pair
         both = camera1, camera2 = cameras[names[0]], cameras[names[1]]
@@ -321,7 +324,8 @@ def tile_order(pairs: np.ndarray, capacity: int) -> np.ndarray:
     """
     low, high = np.sort(pairs, axis=1).T
     side = max(1, capacity // 2)
-    tile1, tile2 = low // side, high // side
+    tile1 = low // side
+    tile2 = high // side
     # Back and forth along the rows of tiles: a row begins at the column where the last one ended.
     column = np.where(tile1 % 2 == 0, tile2, -tile2)
     return np.lexsort((low, high, column, tile1))

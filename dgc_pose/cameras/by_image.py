@@ -34,7 +34,8 @@ _MAX_USUAL_OFFSET = 0.2  # above: warning; a share as before
 _SAME_ASPECT = 0.03  # largest difference of the logarithms of two equal aspect ratios
 # |ln(scale)| between two sizes of equal aspect ratio: up to the first, the sizes are equal; above
 # the second, K cannot belong to the image
-_MAX_SAME_SCALE, _MAX_POSSIBLE_SCALE = 0.1, 0.4
+_MAX_SAME_SCALE = 0.1
+_MAX_POSSIBLE_SCALE = 0.4
 
 
 @dataclass(frozen=True)

@@ -110,10 +110,12 @@ def read_calibration(
         _require_K(details, name)
         return Calibration(name, auto=_SHARING.get(text or ""))
     if text.endswith(_LENS) and not os.path.lexists(text):
-        text, details = text.removesuffix(_LENS), replace(details, lens_std=LENS_STD)
+        text = text.removesuffix(_LENS)
+        details = replace(details, lens_std=LENS_STD)
     head, _, part = text.rpartition(":")
     if os.path.lexists(text):
-        head, part = text, ""
+        head = text
+        part = ""
     elif not (head and os.path.lexists(head)):
         camera = replace(_parse_text(text, name), identity=name)
         return Calibration(name, common=camera, details=details)

@@ -319,6 +319,7 @@ def _checked_matrix(value: Any, name: str) -> np.ndarray:
             f"{name} must be upper triangular with positive focal lengths and the last row 0 0 1, "
             f"not {rows}"
         )
-    K[1, 0], K[2] = 0, (0, 0, 1)
+    K[1, 0] = 0
+    K[2] = (0, 0, 1)
     K.setflags(write=False)
     return K

@@ -24,10 +24,13 @@ if TYPE_CHECKING:
 # Error of a point after undistortion and distortion, in focal lengths: 0.01 px at f = 1000 px.
 _MAX_ROUND_TRIP_ERROR = 1e-5
 # Skew and fx - fy over the focal length: rounding in a calibration, below 0.01 px in the image.
-_MOST_SKEW, _MOST_FOCAL_DIFFERENCE = 1e-5, 1e-6
+_MOST_SKEW = 1e-5
+_MOST_FOCAL_DIFFERENCE = 1e-6
 # Models without a lens; they need no import of pycolmap.
 _PINHOLES = {"SIMPLE_PINHOLE": ["f", "cx", "cy"], "PINHOLE": ["fx", "fy", "cx", "cy"]}
-RADIAL, FISHEYE, CYLINDER = "RADIAL", "OPENCV_FISHEYE", "CYLINDER"
+RADIAL = "RADIAL"
+FISHEYE = "OPENCV_FISHEYE"
+CYLINDER = "CYLINDER"
 # Models computed without pycolmap if all coefficients after the second are zero, with their number
 # of coefficients. COLMAP has no CYLINDER.
 _OWN: Mapping[str, tuple[Projection, int]] = {
@@ -61,10 +64,12 @@ class Distortion:
     coefficients: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        names, expected = "", _OWN.get(self.model, ("", -1))[1]
+        names = ""
+        expected = _OWN.get(self.model, ("", -1))[1]
         if len(self.coefficients) != expected:
             camera = _model(self.model)
-            names, expected = camera.params_info, len(camera.extra_params_idxs())
+            names = camera.params_info
+            expected = len(camera.extra_params_idxs())
         if len(self.coefficients) != expected:
             raise InputError(
                 f"{self.model} takes {expected} coefficients ({names}), "
@@ -140,7 +145,9 @@ def parameters(K: np.ndarray, distortion: Distortion | None) -> tuple[str, list[
     The model is PINHOLE without a distortion. A model with one focal length is replaced by the one
     with two if K has two. Raises InputError for a K with a skew, which COLMAP does not support.
     """
-    fx, fy, skew = float(K[0, 0]), float(K[1, 1]), float(K[0, 1])
+    fx = float(K[0, 0])
+    fy = float(K[1, 1])
+    skew = float(K[0, 1])
     if abs(skew) > _MOST_SKEW * fx:
         raise InputError(f"K has a skew of {skew:g}, which COLMAP cannot hold")
     model = "PINHOLE" if distortion is None else distortion.model

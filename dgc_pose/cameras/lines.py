@@ -17,10 +17,12 @@ from dgc_pose.images.image import Image, resize_by
 # Likelihood of a focal length with score s, for n segments: proportional to
 # exp(SHARPNESS sqrt(n) (s - best s)), mixed with a share CHANCE of a uniform likelihood. Fitted by
 # `dgc-pose fit-probability`.
-SHARPNESS, CHANCE = 3.0, 0.03
+SHARPNESS = 3.0
+CHANCE = 0.03
 _SIDE = 800  # longer side for the detection of segments, pixels
 _MIN_LENGTH = 15.0  # of a segment, pixels
-_MOST, _LEAST = 160, 8  # segments: the longest are used; fewer give no evidence
+_MOST = 160  # segments: the longest are used
+_LEAST = 8  # segments: fewer give no evidence
 _WIDTH = 1.5  # largest distance of a segment's end from a line to its vanishing point, pixels
 _PAIRS = 400  # pairs of segments; the lines of each meet in a candidate point
 _POINTS = 8  # number of candidates kept
@@ -48,10 +50,12 @@ def calibrated(
 def focal_scores(image: Image) -> tuple[np.ndarray, int]:
     """For each of `LOG_FOCALS`, the share of the segments' length that fits three perpendicular
     directions (G,); and the number of segments. Masked pixels have no segments."""
-    ends, scores = _segments(image), np.zeros(len(LOG_FOCALS))
+    ends = _segments(image)
+    scores = np.zeros(len(LOG_FOCALS))
     if len(ends) < _LEAST:
         return scores, 0
-    half, (x, y) = (ends[:, 1] - ends[:, 0]) / 2, ends.mean(1).T
+    half = (ends[:, 1] - ends[:, 0]) / 2
+    x, y = ends.mean(1).T
     length = np.linalg.norm(half, axis=1)
     share = (length / length.sum()).astype(np.float32)
     normals = np.column_stack([-half[:, 1], half[:, 0], half[:, 1] * x - half[:, 0] * y])
@@ -63,7 +67,8 @@ def focal_scores(image: Image) -> tuple[np.ndarray, int]:
         return scores, 0
     of_first = _agreement(points, *lines)
     side = min(max(image.size), _SIDE)
-    cos, sin = np.cos(_ANGLES)[:, None], np.sin(_ANGLES)[:, None]
+    cos = np.cos(_ANGLES)[:, None]
+    sin = np.sin(_ANGLES)[:, None]
     for k, focal in enumerate(side * np.exp(LOG_FOCALS)):
         rays = points / (focal, focal, 1.0)
         across = np.linalg.svd(rays[:, None])[2][:, 1:, None]  # (P, 2, 1, 3)

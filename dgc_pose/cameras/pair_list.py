@@ -183,7 +183,8 @@ def _cameras(words: list[str]) -> list[Camera]:
 
 
 def _pose(T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    R, t = T[:3, :3], T[:3, 3]
+    R = T[:3, :3]
+    t = T[:3, 3]
     if not (is_rotation(R) and np.array_equal(T[3], [0, 0, 0, 1])):
         raise InputError("T is not a rotation and translation with the last row 0 0 0 1")
     with np.errstate(over="ignore"):

@@ -39,13 +39,19 @@ Sharing = Literal["files", "shared", "two"]
 SHARED = "shared"  # the identity of a camera that is stated to have taken all images
 # Geometric mean of the focal lengths of photographs over the longer side, and the standard
 # deviation of their logarithm; then the share, mean and deviation of zoomed-in or long lenses.
-SIZE_FOCAL, SIZE_STD = 0.9, 0.35
-_LONG_SHARE, _LONG_FOCAL, _LONG_STD = 0.15, 2.0, 0.7
+SIZE_FOCAL = 0.9
+SIZE_STD = 0.35
+_LONG_SHARE = 0.15
+_LONG_FOCAL = 2.0
+_LONG_STD = 0.7
 OTHER_STD = 0.55  # of all photographs together, around `SIZE_FOCAL`
 _OTHER_SHARE = 0.03  # files with EXIF data of another crop or lens
 # A K that hardly any photograph has: f over the longer side, fx / fy over that of the pixels, the
 # distance of the principal point from the middle over the side; and the log-odds against each.
-_USUAL_FOCALS, _USUAL_RATIO, _INNER, _EXTREME = (0.3, 4.0), 1.3, 0.25, 20.0
+_USUAL_FOCALS = (0.3, 4.0)
+_USUAL_RATIO = 1.3
+_INNER = 0.25
+_EXTREME = 20.0
 MOUNTED_STD = 0.02  # of the principal point of a whole photograph, by the mounting of its lens
 FAR_OFF = 0.04  # distance of the principal point from the middle, over the longer side, of a part
 _LEAST_SIDE = 32  # of an image whose size follows from the principal point, pixels
@@ -53,7 +59,9 @@ USUAL_K = 2.0  # improbability of a stated K up to which it is usual
 _LINES_STD_RATIO = 0.8  # the lines determine f if they reduce its deviation below this share
 # Standard deviations of the first radial coefficient: photographs as cameras wrote them, action
 # cameras, and images without EXIF data, most of which have been corrected.
-LENS_STD, _ACTION_LENS_STD, _SIZE_LENS_STD = 0.1, 0.3, 0.05
+LENS_STD = 0.1
+_ACTION_LENS_STD = 0.3
+_SIZE_LENS_STD = 0.05
 _ACTION = re.compile(r"gopro|hero\d|action|insta360", re.IGNORECASE)  # make and model
 CENTRE_STD = 0.005  # of the principal point from the middle, over the longer side
 
@@ -71,13 +79,15 @@ _SENSOR_RESOLUTION_STD = 0.06
 # As above; and the table may have the width of another part of the sensor.
 _SENSOR_TABLE_STD = 0.08
 # Added for a digital zoom, which some phones write for only one of two steps, and for a crop.
-_ZOOM_STD, _CUT_STD = 0.1, 0.05
+_ZOOM_STD = 0.1
+_CUT_STD = 0.05
 
 _PLAUSIBLE_FOCALS = (0.2, 20.0)  # over the longer side: fields of view of 136 to 3 degrees
 _SENSOR_RANGE_MM = (1.5, 80.0)  # widths and diagonals
 _MAX_WIDTH_DIFFERENCE = 0.1  # between the logarithms of two widths of one sensor
 # Sensors are 5:4 to 3:2; most images of another shape are crops of a 4:3 image.
-_SENSOR_ASPECT_RANGE, _USUAL_ASPECT = (1.24, 1.52), 4 / 3
+_SENSOR_ASPECT_RANGE = (1.24, 1.52)
+_USUAL_ASPECT = 4 / 3
 
 
 class _Whole(NamedTuple):
@@ -104,18 +114,23 @@ def auto_camera(image: Image | Header, sharing: Sharing = "files") -> Camera:
     width, height = image.size
     exif = image.exif
     names = (exif.make, exif.model, exif.lens, exif.focal_mm, exif.focal_35mm)
-    identity, aspect = f"auto {max(image.size)} x {min(image.size)}", image.pixel_aspect
+    identity = f"auto {max(image.size)} x {min(image.size)}"
+    aspect = image.pixel_aspect
     identity += "" if aspect == 1 else f", pixels of {aspect ** (1 if width >= height else -1):.4g}"
     square = (width * aspect, float(height))  # the size with square pixels
     mean = (1 + 1 / aspect) / 2  # of the focal lengths along x and y, over fy
     if any(names):
         identity += "".join(f", {name or '-'}" for name in (*names, exif.digital_zoom))
     source: FocalSource = "size"
-    focal, std, margin, warnings = SIZE_FOCAL * max(square), SIZE_STD, 0.0, list[str]()
+    focal = SIZE_FOCAL * max(square)
+    std = SIZE_STD
+    margin = 0.0
+    warnings = list[str]()
     usual = Part(math.log(1 - _LONG_SHARE), math.log(SIZE_FOCAL), SIZE_STD)
     tail = Part(math.log(_LONG_SHARE), math.log(_LONG_FOCAL), _LONG_STD)
     if by_exif := _exif_focal(exif, square):
-        source, (focal, std, margin) = "exif", by_exif
+        source = "exif"
+        focal, std, margin = by_exif
         identity += f", {mean * focal:.1f} px"  # separates crops of different scale
         usual = Part(math.log(1 - _OTHER_SHARE), math.log(focal / max(square)), std)
         tail = Part(math.log(_OTHER_SHARE), math.log(SIZE_FOCAL), OTHER_STD)
@@ -254,7 +269,8 @@ def _by_lines(
 ) -> Camera:
     """own: log-likelihoods (G,) of the camera's image; lines: of all images of the camera."""
     part, _ = focal_prior.parts(lines)
-    found, before = of_part(camera, part), focal_prior.usual
+    found = of_part(camera, part)
+    before = focal_prior.usual
     if own is not None:
         found = replace(found, focal_prior=replace(focal_prior, lines=own))
     if camera.focal_source != "exif":
@@ -272,7 +288,8 @@ def _by_lines(
 def of_part(camera: Camera, part: Part) -> Camera:
     """The camera with the focal length and deviation of `part`, a part of its prior."""
     assert camera.size is not None
-    (width, height), (fx, fy) = camera.size, camera.K.diagonal()[:2].tolist()
+    width, height = camera.size
+    fx, fy = camera.K.diagonal()[:2].tolist()
     along_y = math.exp(part.log_focal) * max(width * fy / fx, height)
     return replace(camera.with_focal(camera.focal * along_y / fy), focal_std=part.std)
 
@@ -309,7 +326,8 @@ def auto_cameras(
     sharing: whether one camera took both; "files": if the `identity` is equal. With "shared", an
     image without a focal length in EXIF takes that of the other image if their sizes are equal.
     """
-    camera1, camera2 = auto_camera(image1, sharing), auto_camera(image2, sharing)
+    camera1 = auto_camera(image1, sharing)
+    camera2 = auto_camera(image2, sharing)
     if sharing == "two":
         return replace(camera1, identity="image1"), replace(camera2, identity="image2")
     if sharing == SHARED and sorted(image1.size) == sorted(image2.size):
@@ -321,9 +339,12 @@ def auto_cameras(
 def _with_focal(camera: Camera, other: Camera) -> Camera:
     if camera.focal_source == "exif":
         return camera
-    K, focals = camera.K.copy(), other.K.diagonal()[:2]
+    K = camera.K.copy()
+    focals = other.K.diagonal()[:2]
     K[[0, 1], [0, 1]] = focals if camera.size == other.size else focals[::-1]
-    std, source, focal_prior = other.focal_std, other.focal_source, other.focal_prior
+    std = other.focal_std
+    source = other.focal_source
+    focal_prior = other.focal_prior
     return replace(camera, K=K, focal_std=std, focal_source=source, focal_prior=focal_prior)
 
 
@@ -335,7 +356,8 @@ def _whole(exif: Exif, size: tuple[float, float]) -> _Whole | None:
     """
     if exif.size is None:
         return _Whole(*size)
-    (width, height), sides = size, exif.size
+    width, height = size
+    sides = exif.size
     scale = max(size) / max(sides)
     if abs(scale * min(sides) - min(size)) <= 1 + 0.005 * min(size):
         return _Whole(width, height, scale)
@@ -352,13 +374,17 @@ def _exif_focals(exif: Exif, whole: _Whole) -> Iterator[tuple[float, float]]:
     """Yield (focal length, deviation): from the focal length on film; from that of the lens with
     the sensor's resolution, then with its width in COLMAP's table. A resolution that the table
     contradicts is skipped: editors that shrink an image keep the old resolution."""
-    film, lens, zoom = exif.focal_35mm, exif.focal_mm, exif.digital_zoom
+    film = exif.focal_35mm
+    lens = exif.focal_mm
+    zoom = exif.digital_zoom
     zoom_std = _ZOOM_STD if zoom > 1 else 0.0
-    longer, shorter = max(whole.width, whole.height), min(whole.width, whole.height)
+    longer = max(whole.width, whole.height)
+    shorter = min(whole.width, whole.height)
     sensor = 0.0 if lens is None or film is None else _FILM_DIAGONAL_MM * lens / film
     if film is not None and (lens is None or _is_sensor(sensor) or _is_sensor(sensor * zoom)):
         # No sensor has this shape: take the mean of this diagonal and that of a 4:3 image
-        diagonal, shape_std = math.hypot(longer, shorter), 0.0
+        diagonal = math.hypot(longer, shorter)
+        shape_std = 0.0
         if not _SENSOR_ASPECT_RANGE[0] <= longer / shorter <= _SENSOR_ASPECT_RANGE[1]:
             whole_diagonal = max(longer, _USUAL_ASPECT * shorter) * math.hypot(1, 1 / _USUAL_ASPECT)
             shape_std = math.log(whole_diagonal / diagonal) / 2
@@ -389,7 +415,8 @@ def _sensor_width_mm(make: str, model: str) -> float | None:
 
     # COLMAP's table is not accessible: have COLMAP compute the focal length of an image file.
     exif = PIL.Image.Exif()
-    exif[Base.Make], exif[Base.Model] = make, model
+    exif[Base.Make] = make
+    exif[Base.Model] = model
     exif.get_ifd(IFD.Exif)[Base.FocalLength] = IFDRational(1, 1)
     with scratch_folder() as folder:
         path = folder / "blank.jpg"

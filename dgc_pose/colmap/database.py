@@ -27,7 +27,9 @@ from dgc_pose.system.colmap_library import pycolmap
 from dgc_pose.system.files import replaced, require_room, save_text, staged
 
 # Upper bounds of a database's size with SQLite's log: empty, per key point and per match.
-_EMPTY_BYTES, _KEY_POINT_BYTES, _MATCH_BYTES = 2**18, 16, 32
+_EMPTY_BYTES = 2**18
+_KEY_POINT_BYTES = 16
+_MATCH_BYTES = 32
 
 
 class NoPairError(InputError):
@@ -49,7 +51,8 @@ def share(
         first = "".join(f"; the first: {row.reason}" for row in estimated[:1])
         first = f"; {down} are rejected as look-alikes" if down else first
         raise NoPairError(f"{batch.folder}: no pair of this batch has an accepted pose{first}")
-    root, masks = batch.plan.root, batch.plan.settings.get("masks")
+    root = batch.plan.root
+    masks = batch.plan.settings.get("masks")
     cache = ImageCache(2**29)
     shared = track_corners(pairs, lambda n: cache.read(root, n, masks), per_image, progress)
     key_points = {n: turn_points(p, *to_stored(root / n)) for n, p in shared.key_points.items()}
@@ -65,9 +68,11 @@ def to_stored(path: Path) -> tuple[np.ndarray, Size]:
 def pair_geometries(batch: Batch) -> list[PairGeometry]:
     """The pairs whose pose or rotation the folder accepts, with its inliers, and the cameras that
     the pair fitted or else the folder's cameras."""
-    geometries, final = [], batch.plan.final_cameras
+    geometries = []
+    final = batch.plan.final_cameras
     for pair in batch.pairs():
-        row, pose = pair.row, pair.row.pose
+        row = pair.row
+        pose = pair.row.pose
         if pose is not None and pose.status in CONFIGURATIONS and not row.rejected:
             cameras = row.fitted_cameras or (final[row.name1], final[row.name2])
             geometries.append(PairGeometry(row, cameras, pair.matches.subset(pose.inliers)))

@@ -23,7 +23,10 @@ from dgc_pose.system.colmap_library import pycolmap
 from dgc_pose.system.files import only_writer, replaced, replaced_folder, scratch_folder
 from dgc_pose.system.texts import write_json
 
-DATABASE, MODEL, POINTS, SUMMARY = "database.db", "sparse", "points.ply", "summary.json"
+DATABASE = "database.db"
+MODEL = "sparse"
+POINTS = "points.ply"
+SUMMARY = "summary.json"
 OUTPUTS = (DATABASE, MODEL, POINTS, SUMMARY)  # in the order in which they are written
 MIN_IMAGES = 3  # of a model
 _SEED = 0
@@ -145,7 +148,8 @@ def write_summary(
 ) -> dict[str, Any]:
     """Write `summary.json` and return its data. models, shared, metric: from `reconstruct`.
     seconds: by stage."""
-    names, largest = batch.plan.names, models[0]
+    names = batch.plan.names
+    largest = models[0]
     colmap = largest.colmap
     assert colmap is not None
     taken: dict[int, list[str]] = {}  # images by camera
@@ -256,7 +260,8 @@ def _pipeline_options(options: ReconstructionOptions) -> Any:
         settings.mapper.bundle_adjustment.refine_extra_params = refine
         settings.mapper.bundle_adjustment.ceres.use_gpu = False
         settings.mapper.global_positioning.use_gpu = False
-    settings.min_model_size, settings.num_threads = options.min_images, 1
+    settings.min_model_size = options.min_images
+    settings.num_threads = 1
     settings.random_seed = settings.mapper.random_seed = _SEED
     return settings
 

@@ -96,7 +96,8 @@ def track_corners(
                 )
                 pair = by_names[names]
                 error = epipolar_error_px(pair.row, pair.cameras, points1[in1], points2[in2])
-                in1, in2 = in1[error <= _MAX_ERROR_PX], in2[error <= _MAX_ERROR_PX]
+                in1 = in1[error <= _MAX_ERROR_PX]
+                in2 = in2[error <= _MAX_ERROR_PX]
                 ends = indices[names[0]][in1], indices[names[1]][in2]
                 scores = np.minimum(zncc1[in1], zncc2[in2])
                 matches[names].append((np.column_stack(ends), scores))
@@ -193,7 +194,8 @@ def _choose(grey: np.ndarray, matches_of_pairs: Sequence[LocalMatches], most: in
         return np.zeros((0, 2))
     _, first, corner = np.unique(rows[:, :2], axis=0, return_index=True, return_inverse=True)
     corner = np.argsort(np.argsort(first))[corner.ravel()]  # numbered by first occurrence
-    support, strength = np.bincount(corner), np.zeros(len(first))
+    support = np.bincount(corner)
+    strength = np.zeros(len(first))
     strength[corner] = rows[:, 2]
     points = rows[np.sort(first), :2]
     rank = np.argsort(np.argsort(strength)) / len(strength)  # below 1: support decides first

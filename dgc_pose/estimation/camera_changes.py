@@ -41,13 +41,20 @@ _SHAPES = (5 / 4, 4 / 3, 3 / 2, 8 / 5, 16 / 9)  # of sensors: the longer side ov
 _SAME_SHAPE = 0.015  # difference of two shapes' logarithms
 # Prior log-odds of two cameras if the images have one size: without EXIF data, or with the same,
 # where an unknown lens and centre may pass for a zoom.
-_TWO, _TWO_OF_EXIF = -2.2, -20.0
+_TWO = -2.2
+_TWO_OF_EXIF = -20.0
 _TWO_LENS_STD = 0.02  # deviation of each lens: one camera's zoom hardly changes its lens
 # Deviations of ln f, of the principal point over the longer side, of the lens and of ln fy / fx: of
 # what a model opens, and of the rest of a K that is contradicted in a part, which is not exact.
-_FOCAL_STD, _CENTRE_STD, _LENS_STD, _ASPECT_STD = 0.5, 0.05, 0.15, 0.3
-_LOOSE_FOCAL_STD, _LOOSE_LENS_STD = 0.02, 0.02
-_TURNED_FOCAL_STD, _TURNED_LENS_STD = 0.2, 0.2  # of a camera that only turned
+_FOCAL_STD = 0.5
+_CENTRE_STD = 0.05
+_LENS_STD = 0.15
+_ASPECT_STD = 0.3
+_LOOSE_FOCAL_STD = 0.02
+_LOOSE_LENS_STD = 0.02
+# Of a camera that only turned
+_TURNED_FOCAL_STD = 0.2
+_TURNED_LENS_STD = 0.2
 _TURNED_OPEN_LENS_STD = 0.08  # the same without a K: a plane that moves is no turn
 _CROP_CENTRE_STD = 0.02  # of the principal point of a crop, over the longer side
 # Distance of K's principal point from the middle, over the longer side, from which it is off it.
@@ -55,7 +62,8 @@ _OFF = 0.01
 _LOG_ODDS_OF_CUT = -0.5  # prior log-odds of the middle if K is far from it
 # Deviations of ln f of a scaled copy of the photograph of K, and of the principal point from the
 # middle of a part of it, over the longer side.
-_CUT_FOCAL_STD, _CUT_CENTRE_STD = 0.2, 0.2
+_CUT_FOCAL_STD = 0.2
+_CUT_CENTRE_STD = 0.2
 # Corrected verticals, which are cut too, or a shift lens: prior log-odds, and the deviation of the
 # principal point over the longer side.
 _LOG_ODDS_OF_SHIFT = -11.0

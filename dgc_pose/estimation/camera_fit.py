@@ -61,7 +61,8 @@ _MAX_STARTS = 3  # starts that are fitted
 _FITTED = 1000  # matches that they are fitted to
 LIMITS = (3.0, 1.0, 1.0)  # largest errors of the matches in each round of a fit, thresholds
 MOST_ERROR = 3.0  # thresholds; larger errors count as this one
-_TRIED_TOGETHER, _TRIED_APART = (-0.5, -0.25, 0.0, 0.25, 0.5), (-0.35, -0.18, 0.18, 0.35)  # ln f
+_TRIED_TOGETHER = (-0.5, -0.25, 0.0, 0.25, 0.5)  # ln f of both cameras
+_TRIED_APART = (-0.35, -0.18, 0.18, 0.35)  # ln f of one
 ROUGH_ITERATIONS = 10  # of a fit that need not be the minimum
 _ITERATIONS = 30  # of a fit, which usually converges in 10
 _LARGEST_STEP = 0.5  # change of ln f in an iteration
@@ -77,7 +78,8 @@ class JointPose:
 
     def moved(self, step: np.ndarray) -> JointPose:
         """The pose after a step (5 + M,), see `error_slopes`."""
-        R, t = cv2.Rodrigues(step[:3])[0] @ self.R, self.t + tangent_axes(self.t) @ step[3:5]
+        R = cv2.Rodrigues(step[:3])[0] @ self.R
+        t = self.t + tangent_axes(self.t) @ step[3:5]
         return JointPose(R, t / np.linalg.norm(t), self.z + step[5:])
 
 
@@ -112,7 +114,8 @@ class JointFit:
         """
         threshold = self.problem.threshold
         for limit in limits:
-            error, in_front = self._errors(pose), self._in_front(pose)
+            error = self._errors(pose)
+            in_front = self._in_front(pose)
             near = error < threshold
             # The errors do not depend on the sign of t.
             if (near & ~in_front).sum() > (near & in_front).sum():
@@ -162,20 +165,23 @@ class JointFit:
 
     def _errors(self, pose: JointPose) -> np.ndarray:
         """Sampson errors (N,), in the problem's unit; infinite if a distortion is not undone."""
-        parameters, E = self.parameters(pose), essential_from_pose(pose.R, pose.t)
+        parameters = self.parameters(pose)
+        E = essential_from_pose(pose.R, pose.t)
         error = sampson_distance(*renormalised_pair(self.problem, parameters), E)
         return np.nan_to_num(error * np.exp(parameters[FOCALS].mean()), nan=np.inf)
 
     def errors_px(self, pose: JointPose) -> np.ndarray:
         """Sampson errors (N,) in the images, pixels; infinite if a distortion is not undone. Points
         behind a camera count too: noise moves distant points to either side."""
-        parameters, E = self.parameters(pose), essential_from_pose(pose.R, pose.t)
+        parameters = self.parameters(pose)
+        E = essential_from_pose(pose.R, pose.t)
         points1, points2 = renormalised_pair(self.problem, parameters)
         algebraic, lines1, lines2 = epipolar_lines(points1, points2, E)
         squared = np.zeros(len(points1))
         sides = (self.problem.points1, points1, lines1), (self.problem.points2, points2, lines2)
         for number, (seen, undone, lines) in enumerate(sides):
-            lens, own = self.problem.lenses[number], np.split(parameters, 2)[number]
+            lens = self.problem.lenses[number]
+            own = np.split(parameters, 2)[number]
             by_shift = by_parameters(seen, lens, own, undone, lines)[1:3]
             squared += ((by_shift / self.problem.cameras[number].focal) ** 2).sum(0)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -251,7 +257,8 @@ def solved_start(joint: JointFit, seed: int) -> JointPose | None:
 def of_focals(log_focals: np.ndarray, aspects: np.ndarray | float = 0.0) -> np.ndarray:
     """The parameters (2 * SIZE,) of cameras with these changes of ln f and of ln fy / fx."""
     parameters = np.zeros(2 * SIZE)
-    parameters[FOCALS], parameters[ASPECTS] = log_focals, aspects
+    parameters[FOCALS] = log_focals
+    parameters[ASPECTS] = aspects
     return parameters
 
 

@@ -35,7 +35,9 @@ ModelName = Literal[
 ]
 # Shares of the matches that the assumed cameras explain, above which no distant cameras are
 # searched: without a K; with a K, and for models that are less likely than the third, in log-odds.
-EXPLAINED, EXPLAINED_BY_K, _UNLIKELY = 0.8, 0.5, -10.0
+EXPLAINED = 0.8
+EXPLAINED_BY_K = 0.5
+_UNLIKELY = -10.0
 _UNCERTAIN_STD = 0.1  # deviation of ln f beyond which there is a warning
 
 

@@ -42,7 +42,9 @@ from dgc_pose.matches import Matches
 
 # Least share of the first one's inliers that another motion has: on a plane (docs/experiments.md),
 # with fitted cameras, and with known cameras.
-_MIN_SECOND_SHARE_OF_PLANE, _MIN_SECOND_SHARE_FITTED, _MIN_SECOND_SHARE = 0.1, 0.3, 0.5
+_MIN_SECOND_SHARE_OF_PLANE = 0.1
+_MIN_SECOND_SHARE_FITTED = 0.3
+_MIN_SECOND_SHARE = 0.5
 LIKELY_SHARE = 0.75  # of the first one's inliers: another pose explains the matches as well
 _MIN_REFINED_SHARE = 0.3  # of the first one's inliers: another pose is refined
 _MAX_DEPTH = 1e6  # in baselines: beyond, there is no parallax to mirror
@@ -79,7 +81,9 @@ def candidates(
     if fit_cameras:
         turned, problem, model, runs = _runs_by_model(stated)
     else:
-        problem, model, runs = stated, assumed_fit(stated.cameras), sample(stated)
+        problem = stated
+        model = assumed_fit(stated.cameras)
+        runs = sample(stated)
         turned = turned_camera(stated)
     if not runs:
         return None
@@ -153,7 +157,8 @@ def _runs_by_model(
     essential matrix.
     """
     turned = turned_camera(stated.of_cameras(turning(stated.cameras), stated.threshold_px))
-    joint, runs = JointFit(stated), list[Hypothesis]()
+    joint = JointFit(stated)
+    runs = list[Hypothesis]()
     if len(joint.prior):
         pose = joint_pose(joint)
     elif runs := sample(stated):
@@ -172,7 +177,8 @@ def _runs_by_model(
         joint = JointFit(stated.of_cameras(model.cameras))
         pose = joint.fitted(model.pose)
     cameras = pair_with_parameters(joint.problem.cameras, joint.parameters(pose))
-    problem, model = stated.of_cameras(cameras), replace(model, cameras=cameras)
+    problem = stated.of_cameras(cameras)
+    model = replace(model, cameras=cameras)
     runs = sample(problem, max(1, stated.options.runs - SEARCH_RUNS))
     runs = [Hypothesis.of_pose(problem, pose.R, pose.t), *runs]
     return turned, problem, model, sorted(runs, key=lambda run: -run.num_inliers)
@@ -265,7 +271,8 @@ def compared(
     least = LIKELY_SHARE * first.num_in_front
     result: list[Hypothesis] = []
     for number, unfitted in enumerate((first, *others)):
-        pose, likely = unfitted, number == 0 or unfitted.num_in_front >= least
+        pose = unfitted
+        likely = number == 0 or unfitted.num_in_front >= least
         if likely and number and problem.options.refine:
             fitted = refit(problem, pose, adapt_width=True)
             # A fit may lead to another hypothesis, or to the pose with t reversed.

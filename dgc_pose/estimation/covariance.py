@@ -57,7 +57,8 @@ def pose_covariance(
     information = variance * (prior if fitted else EXACT).information
     # Errors of key points are independent of their neighbours: the blocks show all of them.
     kept = REGULAR if problem.matches.key_points else KEPT
-    terms, count = loss_terms(error, slopes, width), slopes.shape[1]
+    terms = loss_terms(error, slopes, width)
+    count = slopes.shape[1]
     total = terms[:, : count**2].sum(0).reshape(count, count)
     try:
         covariance = block_jackknife(total + information, terms, inliers.points2, kept)
@@ -88,7 +89,8 @@ def error_radius(covariance: np.ndarray) -> float:
     (Satterthwaite 1946), exactly for a single axis and for equal ones.
     """
     eigenvalues = np.linalg.eigvalsh(covariance).clip(min=0)
-    mean, squares = eigenvalues.sum(), (eigenvalues**2).sum()
+    mean = eigenvalues.sum()
+    squares = (eigenvalues**2).sum()
     if mean == 0:
         return 0.0
     return math.sqrt(float(squares / mean * _chi_square_90(mean**2 / squares)))

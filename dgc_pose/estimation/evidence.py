@@ -28,7 +28,8 @@ _PAIRS = 20_000  # wrong pairs that measure the chance level, if there are enoug
 _AT_A_TIME = 4000  # wrong pairs
 _MIN_ROUNDS = 8  # in each, a point has another wrong partner
 # `Matches.context_ratio` of right pairs falls with the logarithm of the rotation: method.md
-_LESS_ALIKE, _LESS_ALIKE_DEG = 0.14, 3.0
+_LESS_ALIKE = 0.14
+_LESS_ALIKE_DEG = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,13 +130,16 @@ def measured(
 ) -> Evidence:
     """The evidence for and against a hypothesis, except the part that depends on other hypotheses
     or cameras. map_problem: an even sample of the dense map."""
-    threshold, is_inlier, around = problem.threshold, pose.inliers, problem.matches.context_ratio
+    threshold = problem.threshold
+    is_inlier = pose.inliers
+    around = problem.matches.context_ratio
     inliers = problem.subset(is_inlier)
     count = max(len(inliers), 1)
     chance = chance_ratio(problem, pose.E)
     rotation = robust_rotation(inliers)
     # Over all matches: the inliers were chosen for a small error across the epipolar lines.
-    rays1, rays2 = unit_rays(problem.points1), unit_rays(problem.points2)
+    rays1 = unit_rays(problem.points1)
+    rays2 = unit_rays(problem.points2)
     motion = np.linalg.norm(rays1 @ rotation.T - rays2, axis=1)
     explained = motion < _ROTATION_LIMIT * threshold
     rotated = problem.subset(explained)
@@ -223,7 +227,8 @@ def chance_ratio(problem: TwoViewProblem, E: np.ndarray) -> float:
     order = np.random.default_rng(problem.options.seed).permutation(count)[: _PAIRS // _MIN_ROUNDS]
     count = len(order)
     rounds = min(count - 1, max(_MIN_ROUNDS, math.ceil(_PAIRS / count)))
-    ours, theirs = problem.points1[order], problem.points2[order]
+    ours = problem.points1[order]
+    theirs = problem.points2[order]
     hits = 0
     for part in slices(rounds, max(1, _AT_A_TIME // count)):
         shifts = np.arange(1, rounds + 1)[part, None]  # never a point with its match
@@ -256,7 +261,8 @@ def robust_rotation(problem: TwoViewProblem) -> np.ndarray:
     Least squares on all matches, then on the matches within twice the threshold or on the better
     half, whichever are more, until they stay the same. The identity for fewer than two matches.
     """
-    rays1, rays2 = unit_rays(problem.points1), unit_rays(problem.points2)
+    rays1 = unit_rays(problem.points1)
+    rays2 = unit_rays(problem.points2)
     near = np.ones(len(rays1), dtype=bool)
     R = np.eye(3)
     for _ in range(_ROTATION_ROUNDS):
@@ -264,7 +270,8 @@ def robust_rotation(problem: TwoViewProblem) -> np.ndarray:
             break
         R = aligning_rotation(rays1[near], rays2[near])
         distance = np.linalg.norm(rays1 @ R.T - rays2, axis=1)
-        before, near = near, distance <= max(2 * problem.threshold, float(np.median(distance)))
+        before = near
+        near = distance <= max(2 * problem.threshold, float(np.median(distance)))
         if np.array_equal(near, before):
             break
     return R
@@ -284,7 +291,8 @@ def _parallax(motion: np.ndarray, across: np.ndarray, least: float) -> float:
     """
     if not len(motion):
         return 0.0
-    left, error = np.median(motion) / _RAYLEIGH_MEDIAN, np.median(across) / _NORMAL_MEDIAN
+    left = np.median(motion) / _RAYLEIGH_MEDIAN
+    error = np.median(across) / _NORMAL_MEDIAN
     return float(left / max(error, least))
 
 

@@ -56,7 +56,8 @@ class IntrinsicsPrior:
 
 
 SIZE = 6  # parameters of a camera
-FOCALS, ASPECTS = [0, SIZE], [5, SIZE + 5]  # the rows of ln f and of ln fy / fx
+FOCALS = [0, SIZE]  # the rows of ln f
+ASPECTS = [5, SIZE + 5]  # the rows of ln fy / fx
 EXACT = IntrinsicsPrior(np.zeros((2 * SIZE, 0)))
 _SEEN_AND_LENS = np.eye(2 + SIZE)[[0, 1, 5, 6]]  # x and y of a point, c and d
 _AS_NORMALISED = np.zeros(2 * SIZE)
@@ -69,7 +70,8 @@ def of_pose(covariance: np.ndarray, tangent: np.ndarray) -> np.ndarray:
     """The covariance (6, 6) of a rotation vector and t, from the covariance (5, 5) of the vector
     and the coordinates of t along the axes (3, 2)."""
     expand = np.zeros((6, 5))
-    expand[:3, :3], expand[3:, 3:] = np.eye(3), tangent
+    expand[:3, :3] = np.eye(3)
+    expand[3:, 3:] = tangent
     return expand @ covariance @ expand.T
 
 
@@ -81,13 +83,15 @@ def may_be_crop(camera: Camera) -> bool:
 
 def parameter_stds(camera: Camera) -> tuple[float, ...]:
     """The standard deviations (SIZE,) of a camera's parameters."""
-    centre, lens = camera.centre_std / camera.focal, camera.lens_std
+    centre = camera.centre_std / camera.focal
+    lens = camera.lens_std
     return camera.focal_std, centre, centre, lens, _SECOND_LENS_STD * lens, camera.aspect_std
 
 
 def _shrinks(parameters: np.ndarray) -> np.ndarray:
     """The factors (2,) by which x and y of a point grow if a K with parameters normalises it."""
-    k, a = parameters[0], parameters[5]
+    k = parameters[0]
+    a = parameters[5]
     return np.exp([a / 2 - k, -a / 2 - k])
 
 
@@ -199,7 +203,8 @@ def between(camera: Camera, other: Camera) -> np.ndarray:
 
 def have_same_lens(camera: Camera, other: Camera) -> bool:
     """Whether the lenses of two cameras differ in radial coefficients at most."""
-    lens, others = camera.distortion or _PINHOLE, other.distortion or _PINHOLE
+    lens = camera.distortion or _PINHOLE
+    others = other.distortion or _PINHOLE
     if lens.projection is None or others.projection is None:
         return lens == others
     return lens.projection == others.projection
@@ -228,7 +233,8 @@ def error_slopes(
     errors are in the problem's unit; infinite, with slopes of 0, where a distortion cannot be
     undone.
     """
-    points1, points2 = problem.points1, problem.points2
+    points1 = problem.points1
+    points2 = problem.points2
     if parameters.any():
         points1, points2 = renormalised_pair(problem, parameters)
     tangent = tangent_axes(t)
@@ -236,13 +242,17 @@ def error_slopes(
     changes = [skew(t) @ skew(axis) @ R for axis in np.eye(3)]
     changes += [essential_from_pose(R, axis) for axis in tangent.T]
     # Points as columns, and all parameters at once: NumPy is slow along short axes.
-    x1, x2 = homogeneous(points1).T, homogeneous(points2).T
-    lines2, lines1 = E @ x1, E.T @ x2
+    x1 = homogeneous(points1).T
+    x2 = homogeneous(points2).T
+    lines2 = E @ x1
+    lines1 = E.T @ x2
     squared = (lines1[:2] ** 2).sum(0) + (lines2[:2] ** 2).sum(0)
     squared = np.maximum(squared, np.finfo(float).tiny)  # 0 at the epipoles
     root = np.sqrt(squared)
-    algebraic, stacked = (x2 * lines2).sum(0), np.stack(changes)
-    changed2, changed1 = stacked @ x1, stacked.transpose(0, 2, 1) @ x2  # (5, 3, N)
+    algebraic = (x2 * lines2).sum(0)
+    stacked = np.stack(changes)
+    changed2 = stacked @ x1  # (5, 3, N)
+    changed1 = stacked.transpose(0, 2, 1) @ x2
     lengthening = (lines1[:2] * changed1[:, :2]).sum(1) + (lines2[:2] * changed2[:, :2]).sum(1)
     slopes = (((x2 * changed2).sum(1) - algebraic / squared * lengthening) / root).T
     error = algebraic / root

@@ -21,9 +21,11 @@ BLOCKS = 3  # along the longer side of the inliers in image 2; see docs/experime
 _SHIFTS = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5))  # of the blocks, in blocks
 # Share of the whole information that stays when a block is left out: for a dense map, as a block
 # may have nearly all of it (docs/experiments.md); and otherwise, to keep the rest regular.
-KEPT, REGULAR = 0.1, 1e-9
+KEPT = 0.1
+REGULAR = 1e-9
 _CONVERGED = 1e-5  # relative change of the cost
-_LEAST_DAMPING, _MOST_DAMPING = 1e-9, 1e6
+_LEAST_DAMPING = 1e-9
+_MOST_DAMPING = 1e6
 _MIN_WIDTH = 0.02  # of the threshold: matches count as no more accurate than this
 
 
@@ -72,7 +74,8 @@ def levenberg_marquardt(
     linearised: the cost of a fit, its Hessian (P, P) and its gradient (P,). moved: the fit after a
     step (P,).
     """
-    fit, damping = start, 1e-4
+    fit = start
+    damping = 1e-4
     cost, hessian, gradient = linearised(fit)
     for _ in range(iterations):
         before = cost
@@ -84,7 +87,8 @@ def levenberg_marquardt(
                 return fit
             found = linearised(candidate)
             if found[0] < before:
-                fit, (cost, hessian, gradient) = candidate, found
+                fit = candidate
+                cost, hessian, gradient = found
                 damping = max(damping / 10, _LEAST_DAMPING)
                 break
             damping *= 10
@@ -100,7 +104,8 @@ def jackknife(total: np.ndarray, sums: np.ndarray, kept: float = REGULAR) -> np.
     of each group and the gradient of its loss. kept: share of `total` that is added to the other
     groups. Raises LinAlgError if these do not determine the parameters.
     """
-    count, groups = len(total), len(sums)
+    count = len(total)
+    groups = len(sums)
     left_out = sums[:, : count**2].reshape(-1, count, count)
     gradient = sums[:, count**2 :, None]
     moves = np.linalg.solve((1 + kept) * total - left_out, gradient)[:, :, 0]
@@ -123,7 +128,8 @@ def block_sums(terms: np.ndarray, points: np.ndarray, shift: tuple[float, float]
 
     Uses no matrix product: the order of its sums depends on the number of threads.
     """
-    low, high = points.min(0), points.max(0)
+    low = points.min(0)
+    high = points.max(0)
     # Slightly more than the span, or the farthest point would be alone in a block.
     side = max((1 + 1e-9) * float((high - low).max()), np.finfo(float).tiny) / BLOCKS
     column, row = np.floor((points - low) / side + shift).astype(int).T

@@ -16,10 +16,13 @@ from dgc_pose.geometry.epipolar import homogeneous
 _CORNERS = np.array([[1, -0.5, -0.5], [1, 0.5, -0.5], [1, 0.5, 0.5], [1, -0.5, 0.5]])
 _STEPS = 10  # of the fit of a square
 _CORNER_PX = 0.2  # least error of a corner: print, blur and exposure move them together
-_MAX_ERROR_PX, _MAX_ERROR = 2.0, 0.03  # of a square's corners: a constant plus a share of its side
+_MAX_ERROR_PX = 2.0  # of a square's corners: this much
+_MAX_ERROR = 0.03  # and this share of its side
 _MAX_STD = 0.2  # relative, of a side
 _SHOWN = 3  # markers that an error names
-_MAX_RATIO, _DEVIATIONS = 1.05, 3.0  # of sides of one size: the larger of both is the limit
+# Limits of sides of one size: the larger counts
+_MAX_RATIO = 1.05
+_DEVIATIONS = 3.0
 _OTHER_SIZE = 1.5  # ratio above which markers have different sizes; below it, one has moved
 # The points around a marker. It is in front of them or behind them if most differ from its plane to
 # the same side. Chosen on a rendered scene.
@@ -134,7 +137,8 @@ def _of_one_size(fits: Mapping[str, _Fit], doubts: dict[str, str]) -> dict[str, 
             good[name] = fit
         else:
             doubts[name] = f"is {ratio:.3g} times as large as {middle_name}"
-    (smallest, low), (largest, high) = ordered[0], ordered[-1]
+    smallest, low = ordered[0]
+    largest, high = ordered[-1]
     ratio = high.side / low.side
     if 2 * len(good) <= len(fits) or (len(good) < len(fits) and ratio > _OTHER_SIZE):
         sizes = f"{largest} is {ratio:.3g} times as large as {smallest}"
@@ -192,17 +196,21 @@ def _square(seen: Sequence[_View]) -> tuple[np.ndarray, float, np.ndarray]:
     equations = np.stack([view.equations for view in seen])
     axes = np.stack([view.axis for view in seen])
     rows = np.einsum("ck,vcij->vcikj", _CORNERS, equations[..., :3]).reshape(-1, 4, 2, 9)
-    x, z = np.zeros(9), np.ones((len(axes), 4))
+    x = np.zeros(9)
+    z = np.ones((len(axes), 4))
     for _ in range(_STEPS):
         weights = 1 / np.where(z > 0, z, 1)[..., None]
-        A, b = (rows * weights[..., None]).reshape(-1, 9), (equations[..., 3] * weights).ravel()
-        inverse, (u, v) = np.linalg.pinv(A.T @ A), x[3:].reshape(2, 3)
+        A = (rows * weights[..., None]).reshape(-1, 9)
+        b = (equations[..., 3] * weights).ravel()
+        inverse = np.linalg.pinv(A.T @ A)
+        u, v = x[3:].reshape(2, 3)
         G = np.array([[0, 0, 0, *u, *-v], [0, 0, 0, *v, *u]])
         gain = inverse @ G.T @ np.linalg.pinv(G @ inverse @ G.T)
         free = -inverse @ A.T @ b
         x = free - gain @ G @ (free - x / 2)
         z = axes[:, :3] @ (_CORNERS @ x.reshape(3, 3)).T + axes[:, 3:]
-    squares, side = (A @ x + b).reshape(-1, 8) ** 2, np.linalg.norm(x[3:6])
+    squares = (A @ x + b).reshape(-1, 8) ** 2
+    side = np.linalg.norm(x[3:6])
     slope = np.array([0, 0, 0, *x[3:6], 0, 0, 0]) / side**2
     variance = max(squares.sum() / (squares.size - 7), _CORNER_PX**2)
     std = np.sqrt(variance * slope @ (inverse - gain @ G @ inverse) @ slope)

@@ -47,15 +47,19 @@ _ITERATIONS = 120  # of a RANSAC run at most
 _LIMITS = (3.0, 3.0, 1.0, 1.0)  # largest errors in each round of a fit, thresholds
 _MIN_SHOWN = 0.02  # least probability of a model that counts against the pose of another
 # Probabilities above which the assumed cameras, and those that K states, are kept.
-_MIN_SHARE, _MIN_STATED_SHARE = 0.25, 0.05
+_MIN_SHARE = 0.25
+_MIN_STATED_SHARE = 0.05
 # Without a K, another model may raise the cost of the assumed cameras' inliers by the first number;
 # by any if it has this many times as many inliers.
-_MAX_EXTRA_COST, _MORE = 1.0, 1.2
+_MAX_EXTRA_COST = 1.0
+_MORE = 1.2
 # Standard deviations from the prior, and the least one, of ln f of another model.
-_MOST_STDS, _LEAST_FOCAL_STD = 3.0, 0.1
+_MOST_STDS = 3.0
+_LEAST_FOCAL_STD = 0.1
 _WORSE = 4.0  # loss by which a run may be worse than the fit of the assumed cameras
 _USUAL = 0.7  # standard deviations up to which fitted focal lengths are usual
-_MARGIN, _MARGIN_OF_K = 3.0, 5.0  # by which an estimate may be too low, without a K and with one
+_MARGIN = 3.0  # by which an estimate may be too low, without a K
+_MARGIN_OF_K = 5.0  # with a K
 _DETERMINED = 0.3  # share of the prior's deviation of ln f below which the matches determine f
 _LEAST_SPREAD_DEG = 1.0  # least standard deviation of the pose of a model
 _ALL = IntrinsicsPrior(np.eye(2 * SIZE))
@@ -102,12 +106,14 @@ def _with_others(
 ) -> ModelFit:
     """The likeliest model with what the other models say of its pose."""
     assert best.pose is not None  # because its evidence is finite
-    covariance, agreement = np.zeros((6, 6)), 0.0
+    covariance = np.zeros((6, 6))
+    agreement = 0.0
     for share, fit in zip(shares, fits, strict=True):
         if fit is best or fit.pose is None or share < _MIN_SHOWN:
             agreement += share
             continue
-        R, t = fit.pose.R, fit.pose.t
+        R = fit.pose.R
+        t = fit.pose.t
         angle = max(rotation_error_deg(R, best.pose.R), translation_error_deg(t, best.pose.t))
         own = math.degrees(math.sqrt(max(np.linalg.eigvalsh(fit.covariance)[-1], 0.0)))
         spread = min(max(own, _LEAST_SPREAD_DEG), RIGHT_DEG)
@@ -138,7 +144,8 @@ class _Sample:
     @classmethod
     def of(cls, problem: TwoViewProblem, pose: JointPose) -> _Sample:
         """A sample of the matches of a problem. pose: of the assumed cameras."""
-        stated, options = problem.cameras, problem.options
+        stated = problem.cameras
+        options = problem.options
         drawn = problem.matches.subset(np.sort(draw(problem, options.seed, _SAMPLED).index))
         weight = min(max(len(problem) / max(len(drawn), 1), 1.0), _most_weight(stated))
         joint = JointFit(
@@ -261,7 +268,8 @@ class _Sample:
 
     def _turned(self, cameras: Cameras, joint: JointFit) -> JointPose:
         """The pose of the assumed cameras, with the middles of the images where they were."""
-        own, others = _to_middles(self.joint.problem.cameras), _to_middles(cameras)
+        own = _to_middles(self.joint.problem.cameras)
+        others = _to_middles(cameras)
         turn1, turn2 = (other @ one.T for one, other in zip(own, others, strict=True))
         return JointPose(
             turn2 @ self.pose.R @ turn1.T, turn2 @ self.pose.t, np.zeros(len(joint.prior))

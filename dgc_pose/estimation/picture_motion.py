@@ -27,14 +27,22 @@ from dgc_pose.estimation.least_squares import EFFICIENT, KEPT, block_jackknife, 
 from dgc_pose.geometry.epipolar import homogeneous
 
 NUMBER = 7  # of parameters: a rotation vector, radians; t; ln of the zoom; then those of the camera
-TURN, SHIFT, FORWARD, ZOOM = slice(0, 3), slice(3, 6), 5, 6  # FORWARD: along the optical axis
+TURN = slice(0, 3)
+SHIFT = slice(3, 6)
+FORWARD = 5  # along the optical axis
+ZOOM = 6
 _NOTHING = slice(0, 0)
-_DEPTH_STD, _SHIFT_STD, _ZOOM_STD = 0.5, 0.1, 0.1  # standard deviations of rho; priors of t, zoom
+_DEPTH_STD = 0.5  # standard deviation of rho
+_SHIFT_STD = 0.1  # of the prior of t
+_ZOOM_STD = 0.1  # of the prior of the zoom
 _NOISE = 0.16, 0.5  # bounds of the standard deviation of a match, over its expected error
-_INLIER, _OUTLIER = 3.6, 8.0  # largest errors, in standard deviations
+# Largest errors, in standard deviations
+_INLIER = 3.6
+_OUTLIER = 8.0
 _OUTLIER_LOSS = 4.0  # largest loss of a match: an outlier determines no motion
 FAR_MORE = 1.5  # times the part of the picture that agrees
-_STEPS, _CONVERGED = 20, 0.01  # the second: of the loss, and of the standard deviation, relative
+_STEPS = 20
+_CONVERGED = 0.01  # of the loss, and of the standard deviation, relative
 _MOST_Z = 4.0  # standard deviations by which a camera may deviate
 _SLOPE_STEP = 1e-4
 # Spreads of the depths over `_DEPTH_STD`: the loss is that of the likeliest.
@@ -43,8 +51,10 @@ _SPREADS = 0.2, 0.35, 0.6, 1.0
 # by how much a fit with a shift, and one with a shift and a zoom, must lower the loss; the number
 # of matches whose parallax a shift cannot hide; the deviation of ln |t| by the parallax seen.
 _ERROR_SCALE = 1.15
-_COST_OF_SHIFT, _COST_OF_BOTH = 6.0, 14.0
-_HIDDEN, _SPREAD_STD = 5.0, 0.6
+_COST_OF_SHIFT = 6.0
+_COST_OF_BOTH = 14.0
+_HIDDEN = 5.0
+_SPREAD_STD = 0.6
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +135,8 @@ def fitted(matched: FixedMatches, starts: list[tuple[Motion, float]]) -> MotionF
 def _is_better(other: Minimum, best: Minimum) -> bool:
     """Whether a minimum agrees with far more of the picture than another, or has the lower loss and
     does not agree with far less."""
-    share, best_share = other.agree.sum(), best.agree.sum()
+    share = other.agree.sum()
+    best_share = best.agree.sum()
     if share > FAR_MORE * best_share:
         return True
     return other.loss < best.loss and best_share <= FAR_MORE * share

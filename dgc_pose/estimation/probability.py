@@ -29,7 +29,8 @@ _FEWER_TWO_PLACES = math.log((0.98 / 0.02) / (0.92 / 0.08))
 DOUBTFUL = 0.8  # probability of one place below which it is a reason against the pose
 # A wrong prior of the focal length is wrong for all pairs of a camera, so the fit is too certain.
 # Log-odds to subtract, growing from 0 to all between these errors of ln f (nine cases of ten, %).
-_PRIOR_FOCAL_LOG_ODDS, _OPEN_FOCAL_PERCENT = math.log(9.0), (15.0, 40.0)
+_PRIOR_FOCAL_LOG_ODDS = math.log(9.0)
+_OPEN_FOCAL_PERCENT = (15.0, 40.0)
 _MAX_LOG_FACTOR = 4.0  # of the calibrated error over the raw one
 
 

@@ -163,7 +163,8 @@ class Hypothesis:
     probability: float | None = None
 
     def __repr__(self) -> str:
-        R, t = short_text(self.R), short_text(self.t)
+        R = short_text(self.R)
+        t = short_text(self.t)
         likely = probability_text(self.probability)
         return f"Hypothesis(R={R}, t={t}, {self.num_inliers} inliers, {likely})"
 
@@ -238,7 +239,8 @@ def odd_extent(points: np.ndarray, camera: Camera, number: int) -> tuple[str, ..
     size = np.array(image_size(camera))
     if len(points) < _MIN_POINTS or size.min() <= 1:
         return ()
-    (left, top), (right, bottom) = points.min(0), points.max(0)
+    left, top = points.min(0)
+    right, bottom = points.max(0)
     by, slack = ("", 1.0) if camera.size else (" (from cx and cy)", _SLACK)
     # Half a pixel beyond an edge may be another convention.
     outside = (np.abs(points - (size - 1) / 2) > (slack * size + 1) / 2).any(1)

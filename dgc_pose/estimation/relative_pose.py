@@ -39,7 +39,8 @@ _DEFAULTS = EstimationOptions()
 # Matches that stay at the same pixels:
 _STAY_PX = 1.0  # their largest motion; or the expected error of the matches, if this is larger
 _NEAR = 3.0  # times this: limit of a small motion. A moving camera has as many small motions.
-_MIN_COUNT, _MIN_SHARE = 20, 0.04  # their least number, and share of the matches
+_MIN_COUNT = 20  # their least number
+_MIN_SHARE = 0.04  # their least share of the matches
 _MOST_ERROR_DEG = 2.0  # largest error of R that allows them to be points far away
 _MOST = 0.6  # their share of the matches up to which the others decide
 
@@ -68,7 +69,8 @@ def estimate_pose(
     check_type(camera1, Camera, "camera1")
     check_type(camera2, Camera, "camera2")
     odd = odd_extent(matches.points1, camera1, 1) + odd_extent(matches.points2, camera2, 2)
-    cameras, stay = (camera1, camera2), staying(matches, camera1, camera2)
+    cameras = (camera1, camera2)
+    stay = staying(matches, camera1, camera2)
     pose = None
     if stay.any():
         of_map = map_matches and map_matches.subset(~staying(map_matches, *cameras))
@@ -85,7 +87,8 @@ def estimate_pose(
 def reject_contradicted_K(pose: RelativePose, stated: tuple[Camera, Camera]) -> RelativePose:
     """The pose, rejected if the matches agree with other cameras than K states: further pairs would
     not use these cameras. stated: the cameras before the estimation."""
-    evidence, cameras = pose.evidence, pose.cameras
+    evidence = pose.evidence
+    cameras = pose.cameras
     if evidence is None or cameras is None or not pose.contradicts_K:
         return pose
     lines = unusual_cameras(evidence.camera_model, stated, cameras)
@@ -202,7 +205,9 @@ class Uncertainty:
 
 def uncertainty(found: Candidates) -> Uncertainty:
     """The uncertainty of the likeliest candidate and of its cameras."""
-    problem, best, cameras = found.problem, found.hypotheses[0], found.model.cameras
+    problem = found.problem
+    best = found.hypotheses[0]
+    cameras = found.model.cameras
     prior = IntrinsicsPrior.of(*cameras)
     covariances = pose_covariance(problem, best, prior, fitted=found.fitted)
     if found.fitted:
@@ -213,7 +218,8 @@ def uncertainty(found: Candidates) -> Uncertainty:
         cameras = first, second
     if covariances is None:
         return Uncertainty(cameras)
-    covariance, of_cameras = covariances[0] + found.model.pose_covariance, covariances[1]
+    covariance = covariances[0] + found.model.pose_covariance
+    of_cameras = covariances[1]
     focal_std = float(np.sqrt(of_cameras.diagonal()[FOCALS].max()))
     camera_covariance = None
     if found.fitted:
@@ -250,7 +256,9 @@ def gathered(found: Candidates, known: Uncertainty) -> Evidence:
     """The evidence for and against the likeliest candidate."""
     best, *others = found.hypotheses
     evidence = measured(found.problem, best, found.map_problem)
-    rotation, second, covariance = evidence.rotation, found.second, known.covariance
+    rotation = evidence.rotation
+    second = found.second
+    covariance = known.covariance
     still_ratio = min(found.still.count / max(best.num_inliers, 1), 1.0)
     if still_ratio >= evidence.strict_rotation_share:
         rotation = found.still.R
@@ -299,7 +307,8 @@ def _judged(
     found: Candidates, known: Uncertainty, evidence: Evidence, stated: tuple[Camera, Camera]
 ) -> RelativePose:
     """The likeliest candidate, or why it is no pose. The inliers are over the matches used."""
-    best, model = found.hypotheses[0], found.logistic
+    best = found.hypotheses[0]
+    model = found.logistic
     probability = None if model is None else model.probability(evidence)
     same_place = 1.0 if model is None else model.same_place.probability(evidence)
     status, reason, warnings = judge(
@@ -312,8 +321,10 @@ def _judged(
     )
     if STATUSES[status].of_cameras:
         warnings += camera_warnings(evidence.camera_model, stated, known.cameras)
-    has_t, ambiguous = STATUSES[status].has_t, status == "ambiguous"
-    rotation_alone, unusable = status == "rotation_only", status == "panorama"
+    has_t = STATUSES[status].has_t
+    ambiguous = status == "ambiguous"
+    rotation_alone = status == "rotation_only"
+    unusable = status == "panorama"
     has_pose = status not in ("rotation_only", "ambiguous", "panorama", "chance_inliers")
     poses = [hypothesis for hypothesis in found.hypotheses if hypothesis.likely]
     # The matches do not show which motion is the camera's.

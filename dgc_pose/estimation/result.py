@@ -232,7 +232,10 @@ class RelativePose:
         The error of its t combines the errors of R and t. `evidence` is None: it is measured with
         the images in their first order. `reason` and `warnings` keep this order, too.
         """
-        R, E, covariance, of_cameras = self.R, self.E, self.covariance, self.camera_covariance
+        R = self.R
+        E = self.E
+        covariance = self.covariance
+        of_cameras = self.camera_covariance
         if R is not None and covariance is not None:
             by_w = np.zeros((3, 3)) if E is None else -E.T
             by = np.block([[R.T, np.zeros((3, 3))], [by_w, R.T]])  # -w and -d by w and d
@@ -285,7 +288,8 @@ class RelativePose:
         empty. Raises InputError for other data.
         """
         with read_as("a pose of to_dict", "data"):
-            facts, said = STATUSES[data["status"]], tuple(data["warnings"])
+            facts = STATUSES[data["status"]]
+            said = tuple(data["warnings"])
             others = [_parsed(other, ["R", "t", "probability"]) for other in data["alternatives"]]
             return cls(
                 **_parsed(data, [of.name for of in fields(cls) if of.name in _PLAIN]),

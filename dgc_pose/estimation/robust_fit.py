@@ -79,7 +79,8 @@ def essential_matrix(
     iterations that draw a sample without outliers with a probability of 0.9999. It ends after
     `_TRIALS` times as many, and after at least `_MIN_ITERATIONS`.
     """
-    points, settings = _pixels(problem), _ransac_options(problem, seed, iterations)
+    points = _pixels(problem)
+    settings = _ransac_options(problem, seed, iterations)
     return _essential(*poselib.estimate_relative_pose(*points, CAMERA, CAMERA, *settings))
 
 
@@ -92,10 +93,12 @@ def essential_and_focals(
     shared: whether the factors are equal (six-point solver). Otherwise they are the nearest to 1
     that the fundamental matrix allows (Kocur, Kyselica, Kukelova, CVPR 2024).
     """
-    points, settings = _pixels(problem), _ransac_options(problem, seed)
+    points = _pixels(problem)
+    settings = _ransac_options(problem, seed)
     if shared:
         pair, info = poselib.estimate_shared_focal_relative_pose(*points, np.zeros(2), *settings)
-        E, factors = _essential(pair.pose, info), np.full(2, pair.camera1.focal() / FOCAL)
+        E = _essential(pair.pose, info)
+        factors = np.full(2, pair.camera1.focal() / FOCAL)
     else:
         F, info = poselib.estimate_fundamental(*points, *settings)
         cameras = poselib.focals_from_fundamental_iterative(F, CAMERA, CAMERA)[:2]
@@ -116,7 +119,8 @@ def _ransac_options(
     problem: TwoViewProblem, seed: int, iterations: int | None = None
 ) -> tuple[dict[str, float], dict[str, str | float]]:
     """PoseLib's options of a run and of its local optimisation."""
-    threshold, most = problem.threshold * FOCAL, iterations or problem.options.iterations
+    threshold = problem.threshold * FOCAL
+    most = iterations or problem.options.iterations
     ransac = {
         "max_iterations": most,
         "min_iterations": min(most, _MIN_ITERATIONS),
@@ -139,7 +143,8 @@ def refine(problem: TwoViewProblem, start: Hypothesis) -> Hypothesis:
     inliers are chosen anew after each fit; the fits end when they stay the same."""
     pose = start
     for _ in range(_ROUNDS):
-        before, pose = pose, refit(problem, pose)
+        before = pose
+        pose = refit(problem, pose)
         if np.array_equal(pose.inliers, before.inliers):
             break
     return pose
@@ -157,7 +162,8 @@ def refit(problem: TwoViewProblem, start: Hypothesis, *, adapt_width: bool = Fal
     inliers = problem.subset(start.inliers_in_front)
     if len(inliers) <= MINIMAL:
         return start
-    R, t = start.R, start.t
+    R = start.R
+    t = start.t
     for _ in range(_ROUNDS if adapt_width else 1):
         width = pose_loss_width(inliers, R, t) if adapt_width else problem.threshold
         R, t = least_squares_pose(inliers, R, t, width)
@@ -174,7 +180,8 @@ def least_squares_pose(
 ) -> tuple[np.ndarray, np.ndarray]:
     """R and unit t of least Cauchy loss, from a start. width: of the loss, in the points' unit."""
     start = poselib.CameraPose()
-    start.R, start.t = R, t
+    start.R = R
+    start.t = t
     options = {"loss_type": "CAUCHY", "loss_scale": width * FOCAL, "max_iterations": 100}
     pose, _ = poselib.refine_relative_pose(*_pixels(inliers), start, CAMERA, CAMERA, options)
     length = np.linalg.norm(pose.t)

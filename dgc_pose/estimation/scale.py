@@ -37,7 +37,8 @@ from dgc_pose.system.options import check_options, option
 _FORMS = {"baseline": "METRES[,STD]", "distance": "X1,Y1,X2,Y2,METRES"}
 _CONTRADICTS = 3.0  # scatter of single lengths, in deviations, above which the depth is doubted
 _SURE = 0.8  # probability of distances along the rays, above which depths are converted to z
-_MIN_NEAR, _NEAREST = 3, 9  # least and largest number of inliers for the depth at a point
+_MIN_NEAR = 3  # least number of inliers for the depth at a point
+_NEAREST = 9  # largest number
 _source = partial(option, None, type=str, section="scale")
 _Depth = str | Path | np.ndarray | None
 _Numbers = str | tuple[float, ...] | None
@@ -82,7 +83,8 @@ class ScaleSource:
             first, *_, last = map(ArgumentName, names)
             raise InputError(first, "and", last, "both determine the length of t: give only one")
         for name, counts, n in ("baseline", (1, 2), 0), ("distance", (5,), 4):
-            value, values = getattr(self, name), numbers(getattr(self, name)) or [0.0]
+            value = getattr(self, name)
+            values = numbers(getattr(self, name)) or [0.0]
             is_length = len(values) in counts and min(values[n:]) > 0 and np.isfinite(values).all()
             if value is not None and not is_length:
                 form = f"must be {_FORMS[name]}, lengths above 0"
@@ -124,7 +126,8 @@ def with_length(
     """
     if pose.R is None or pose.t is None or pose.camera1 is None or pose.camera2 is None:
         return pose
-    baseline, distance = numbers(scale.baseline), numbers(scale.distance)
+    baseline = numbers(scale.baseline)
+    distance = numbers(scale.distance)
     if baseline:
         return replace(pose, length=baseline[0], length_std=[*baseline, None][1])
     if not distance and not markers and all(of is None for of in maps):
@@ -230,8 +233,10 @@ def _by_distance(
     """The measure of a distance in the scene, see `ScaleSource`. Raises InputError if too few
     inliers are near one of its points."""
     inverse, std = inverse_depths(*rays, R, t)
-    ends, radius = camera1.normalise(np.reshape(distance[:4], (2, 2))), cell_side(camera1)
-    points, off = homogeneous(ends), np.zeros((2, 3))
+    ends = camera1.normalise(np.reshape(distance[:4], (2, 2)))
+    radius = cell_side(camera1)
+    points = homogeneous(ends)
+    off = np.zeros((2, 3))
     for n, end in enumerate(ends):
         away = np.linalg.norm(rays[0] - end, axis=1)
         near = [k for k in np.argsort(away)[:_NEAREST] if away[k] < radius]

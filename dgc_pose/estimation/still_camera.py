@@ -35,11 +35,14 @@ from dgc_pose.geometry.epipolar import homogeneous, skew
 from dgc_pose.geometry.homography import fit_homography, fit_similarity, transfer_error
 
 _LOG_FOCAL_REACH = 1.5  # ln f of camera 1 is tried so far to either side
-_LOG_FOCAL_STEP, _MIN_LOG_FOCAL_STEP = 0.3, 0.005  # the first step, and the last
+_LOG_FOCAL_STEP = 0.3  # the first step
+_MIN_LOG_FOCAL_STEP = 0.005  # the last step
 _SAMPLED = 300  # matches of the fit of a turn
 # Largest errors in each round of the fit of a turn, over the limit; and the share of the sample
 # that must be within each of them, and the least number.
-_LIMITS, _MIN_SHARE, _MIN_COUNT = (20.0, 5.0, 1.0, 1.0), 0.2, 10
+_LIMITS = (20.0, 5.0, 1.0, 1.0)
+_MIN_SHARE = 0.2
+_MIN_COUNT = 10
 _ITERATIONS = 10  # of a round
 _RAYLEIGH = 1.1774 * 1.4826  # median length of Gaussian errors along two axes, over that along one
 _TURN = 2  # the place of the turn among the homographies of a camera that did not move
@@ -187,7 +190,8 @@ def zoomed_camera(inliers: TwoViewProblem) -> StillCamera:
     with a focal length for each image. inliers: normalised by the stated cameras, whose principal
     points no fit has moved.
     """
-    points, limit = (inliers.points1, inliers.points2), TRANSFER_LIMIT * inliers.threshold
+    points = (inliers.points1, inliers.points2)
+    limit = TRANSFER_LIMIT * inliers.threshold
     homographies = [(np.eye(3), np.eye(3))] * 2
     similarity = fit_similarity(*points, limit)
     if similarity is not None:

@@ -48,8 +48,10 @@ def epipolar_lines(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """x2^T F x1 (N,), and the normals (2, N) of the epipolar lines in images 1 and 2."""
     # Points as columns: NumPy is slow along short axes.
-    x1, x2 = points1.T, points2.T
-    lines2, lines1 = F[:, :2] @ x1 + F[:, 2:], F[:2, :2].T @ x2 + F[2:, :2].T
+    x1 = points1.T
+    x2 = points2.T
+    lines2 = F[:, :2] @ x1 + F[:, 2:]
+    lines1 = F[:2, :2].T @ x2 + F[2:, :2].T
     return (x2 * lines2[:2]).sum(0) + lines2[2], lines1, lines2[:2]
 
 
@@ -98,9 +100,11 @@ def depths(
     a = R[:, :2] @ points1.T + R[:, 2:]  # rays 1 in the axes of camera 2
     b = homogeneous(points2).T
     # Least squares of d1 * a + t = d2 * b: two unknowns, solved by Cramer's rule.
-    aa, bb = (a**2).sum(0), (b**2).sum(0)
+    aa = (a**2).sum(0)
+    bb = (b**2).sum(0)
     ab = (a * b).sum(0)
-    at, bt = t @ a, t @ b
+    at = t @ a
+    bt = t @ b
     determinant = aa * bb - ab**2
     with np.errstate(divide="ignore", invalid="ignore"):
         depth1 = (ab * bt - bb * at) / determinant
@@ -110,7 +114,8 @@ def depths(
 
 def triangulation_angles_deg(points1: np.ndarray, points2: np.ndarray, R: np.ndarray) -> np.ndarray:
     """Angle (N,) between the two rays of each normalised match, degrees, 0 to 180."""
-    rays1, rays2 = unit_rays(points1) @ R.T, unit_rays(points2)
+    rays1 = unit_rays(points1) @ R.T
+    rays2 = unit_rays(points2)
     sine = np.linalg.norm(np.cross(rays1, rays2), axis=1)
     return np.degrees(np.arctan2(sine, (rays1 * rays2).sum(1)))
 

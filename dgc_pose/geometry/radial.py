@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 
 Projection = Literal["plane", "angles", "cylinder"]
 # Four steps are enough within the view of a photograph; the error is the square of the last one.
-_NEWTON_STEPS, _CONVERGED = 20, 1e-7
+_NEWTON_STEPS = 20
+_CONVERGED = 1e-7
 
 
 def distorted(points: np.ndarray, coefficients: ArrayLike) -> np.ndarray:

@@ -31,7 +31,9 @@ def quaternion_wxyz(R: np.ndarray) -> np.ndarray:
     """
     skew = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
     form = np.empty((4, 4))
-    form[0, 0], form[0, 1:], form[1:, 0] = np.trace(R), skew, skew
+    form[0, 0] = np.trace(R)
+    form[0, 1:] = skew
+    form[1:, 0] = skew
     form[1:, 1:] = R + R.T - np.trace(R) * np.eye(3)
     quaternion: np.ndarray = np.linalg.eigh(form)[1][:, -1]
     # For a half turn both signs are right: the first part that is not 0 becomes positive.

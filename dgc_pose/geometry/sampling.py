@@ -41,7 +41,8 @@ def nearest_to(queries: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.
         return np.full(len(queries), np.inf), np.zeros(len(queries), np.int32)
     _, index = _search(queries, points, min(_CANDIDATES, len(points)))
     distance = np.linalg.norm(points[index] - queries[:, None], axis=-1)
-    best, rows = distance.argmin(1), np.arange(len(queries))
+    best = distance.argmin(1)
+    rows = np.arange(len(queries))
     return distance[rows, best], index[rows, best]
 
 

@@ -26,7 +26,8 @@ class ImageCache:
     """
 
     def __init__(self, limit_bytes: int | None = 3 * 2**28, *, beside_bytes: int = 0) -> None:
-        self.limit_bytes, self.beside_bytes = limit_bytes, beside_bytes
+        self.limit_bytes = limit_bytes
+        self.beside_bytes = beside_bytes
         self.made = 0  # values computed
         self._kept: OrderedDict[Image, dict[Hashable, Any]] = OrderedDict()
         self._read: dict[Hashable, Image] = {}

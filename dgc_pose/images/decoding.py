@@ -190,7 +190,9 @@ def _read_header(stream: BinaryIO, verify: bool) -> Header:
     stream.seek(max(len(ends), stream.seek(0, io.SEEK_END) - _END_BYTES))
     ends += stream.read()
     stream.seek(0)
-    found, tags, info = _PROJECTION.search(ends), PIL.Image.Exif(), dict[Any, Any]()
+    found = _PROJECTION.search(ends)
+    tags = PIL.Image.Exif()
+    info = dict[Any, Any]()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about EXIF blocks and huge images
         if name == "TIFF":  # Pillow rejects some that OpenCV decodes: floats in three colours
@@ -205,7 +207,8 @@ def _read_header(stream: BinaryIO, verify: bool) -> Header:
                 image: Any = pillow_heif.open_heif(stream)
             else:
                 image = PIL.Image.open(stream, formats=[name])
-            size, info = image.size, image.info
+            size = image.size
+            info = image.info
             with suppress(Exception):  # a damaged block raises almost anything
                 tags.load(_png_exif(ends, info) if name == "PNG" else info.get("exif") or b"")
             if verify and name != "HEIF":
@@ -215,7 +218,8 @@ def _read_header(stream: BinaryIO, verify: bool) -> Header:
     if name == "HEIF":  # decoding applies its rotation, which EXIF repeats
         exif = replace(exif, orientation=1)
     if exif.orientation in EXCHANGING:
-        size, aspect = size[::-1], 1 / aspect
+        size = size[::-1]
+        aspect = 1 / aspect
     return Header(name, size, exif, aspect, found[1].decode().lower() if found else "")
 
 
@@ -241,7 +245,8 @@ def _density_aspect(info: Mapping[Any, Any], by_exif: float) -> float:
 
 def _aspect(width: Any, height: Any) -> float:
     """The aspect of a pixel from its width and height; 1 if it is not plausible."""
-    width, height = _number(width), _number(height)
+    width = _number(width)
+    height = _number(height)
     aspect = width / height if width and height else 1.0
     return aspect if _PIXEL_ASPECTS[0] <= aspect <= _PIXEL_ASPECTS[1] else 1.0
 
@@ -257,7 +262,8 @@ def _exif(tags: PIL.Image.Exif) -> tuple[Exif, float]:
 
 
 def _camera(first: PIL.Image.Exif, more: Mapping[int, Any]) -> Exif:
-    zoom, turn = _number(more.get(Base.DigitalZoomRatio)), first.get(Base.Orientation)
+    zoom = _number(more.get(Base.DigitalZoomRatio))
+    turn = first.get(Base.Orientation)
     sides = [_number(more.get(side)) for side in (Base.ExifImageWidth, Base.ExifImageHeight)]
     width, height = (int(side) if side and 1 <= side < 2**31 else 0 for side in sides)
     return Exif(

@@ -43,7 +43,8 @@ def search_images(folder: str | Path) -> FolderImages:
     skipped = defaultdict[tuple[str, str], list[str]](list)  # by kind and reason
     searched: set[str] = set()
     # Links to folders come last, so that a file is named by the folder that contains it.
-    folders, links = [root], list[Path]()
+    folders = [root]
+    links = list[Path]()
     while folders or links:
         parent = folders.pop() if folders else links.pop(0)
         resolved = os.path.realpath(parent)

@@ -171,7 +171,8 @@ def _read_file(path: Path) -> Image:
         elif array.ndim == 3 and array.shape[2] >= 3:
             array = array[:, :, [2, 1, 0, 3][: array.shape[2]]]  # OpenCV stores BGR(A)
         image = _of_array(turned(array, header.exif.orientation), path)
-        aspect, projection = header.pixel_aspect, header.projection
+        aspect = header.pixel_aspect
+        projection = header.projection
         return replace(image, exif=header.exif, pixel_aspect=aspect, projection=projection)
 
 
@@ -182,7 +183,8 @@ def _of_array(array: np.ndarray, name: str | Path) -> Image:
         raise InputError(
             name, f"must have shape (H, W), (H, W, 1), (H, W, 3) or (H, W, 4), not {array.shape}"
         )
-    colours, used = array[:, :, :3], None
+    colours = array[:, :, :3]
+    used = None
     if array.shape[2] == 4 and not (array[:, :, 3] != 0).all():
         used = array[:, :, 3] != 0
         if not used.any():
@@ -205,11 +207,13 @@ def filled(pixels: np.ndarray, used: np.ndarray) -> np.ndarray:
 def _to_8_bit(array: np.ndarray, name: str | Path) -> np.ndarray:
     if array.dtype == np.uint8:
         return array
-    low, high = float(array.min()), float(array.max())
+    low = float(array.min())
+    high = float(array.max())
     if not np.isfinite(high - low):
         raise InputError(name, "has values that are not finite")
     if array.dtype.kind in "bf" and low >= 0 and high <= 1:
-        low, high = 0.0, 1.0
+        low = 0.0
+        high = 1.0
     else:
         low, high = _shown_range(array, low, high)
     scale = 255 / (high - low) if high > low else 0.0
@@ -255,7 +259,8 @@ def masked(image: Image, source: MaskSource, name: str = "") -> Image:
     colours = 2 * ((array.shape[2] - 1) // 2) + 1  # 1 of 2 and 3 of 4, the last being alpha
     used = (array[:, :, :colours] != 0).any(2) & (array[:, :, colours:] != 0).all(2)
     used = turned(used, image.exif.orientation)
-    (height, width), (columns, rows) = used.shape, image.size
+    height, width = used.shape
+    columns, rows = image.size
     if abs(width * rows / (height * columns) - 1) > SAME_SHAPE:
         raise InputError(argument, f"is {width} x {height} and the image {columns} x {rows}")
     if (width, height) != image.size:
@@ -302,7 +307,8 @@ def resize(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
         and min(width / size[0], height / size[1]) >= 4
         and width % 2 == height % 2 == 0
     ):
-        width, height = width // 2, height // 2
+        width = width // 2
+        height = height // 2
         pixels = cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA)
     shrunk = (min(size[0], width), min(size[1], height))
     if shrunk != (width, height):

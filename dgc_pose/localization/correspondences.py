@@ -89,7 +89,8 @@ class PairCorrespondences:
     def errors(self, pose: WorldPose) -> tuple[np.ndarray, np.ndarray]:
         """Sampson errors (N,), in the unit of the problem, and whether the points are in front of
         both cameras (N,)."""
-        moved, (R, t) = self.moved(pose), self.pair_pose(pose)
+        moved = self.moved(pose)
+        R, t = self.pair_pose(pose)
         error = sampson_distance(moved.points1, moved.points2, essential_from_pose(R, t))
         depth1, depth2 = depths(moved.points1, moved.points2, R, t)
         error = error * math.exp(pose.parameters[0] / 2)

@@ -38,7 +38,8 @@ _SCORED = 100  # matches of a pair for the comparison of starts
 _FITTED = 400  # inliers of a pair in a fit; the errors of neighbours are correlated
 _MIN_INLIERS = 8  # of a pair
 _MAX_STARTS = 3  # number of starts that are fitted
-_STEPS, _CONVERGED = 12, 1e-6
+_STEPS = 12
+_CONVERGED = 1e-6
 _MIN_KEPT = 0.95  # least score of a fit, over that of its start
 
 
@@ -105,12 +106,17 @@ def _of_pairs(
 ) -> WorldPose | None:
     """The pose from one RANSAC run on the generalised relative pose (six-point solver), for pairs
     with at least five matches; None if it fails."""
-    matches, references = [], []
+    matches = []
+    references = []
     for number, pair in enumerate(pairs):
-        match, reference = poselib.PairwiseMatches(), poselib.CameraPose()
-        match.cam_id1, match.cam_id2 = number, 0
-        match.x1, match.x2 = pair.problem.points1 * FOCAL, pair.problem.points2 * FOCAL
-        reference.R, reference.t = pair.R, -pair.R @ pair.centre
+        match = poselib.PairwiseMatches()
+        reference = poselib.CameraPose()
+        match.cam_id1 = number
+        match.cam_id2 = 0
+        match.x1 = pair.problem.points1 * FOCAL
+        match.x2 = pair.problem.points2 * FOCAL
+        reference.R = pair.R
+        reference.t = -pair.R @ pair.centre
         matches.append(match)
         references.append(reference)
     threshold = float(np.median([pair.threshold for pair in pairs])) * FOCAL
@@ -120,7 +126,8 @@ def _of_pairs(
         "max_epipolar_error": threshold,
         "seed": seed,
     }
-    at_origin, cameras = poselib.CameraPose(), [CAMERA] * len(pairs)
+    at_origin = poselib.CameraPose()
+    cameras = [CAMERA] * len(pairs)
     loss = {"loss_type": "TRUNCATED", "loss_scale": threshold}
     return _found(
         *poselib.estimate_generalized_relative_pose(
@@ -217,7 +224,8 @@ def world_covariance(
     """
     count = 6 + len(prior) + skewed
     information = np.diag([*np.zeros(6), *np.ones(count - 6)])
-    terms, seen = [], []
+    terms = []
+    seen = []
     for part, width in _inliers(every, pose):
         error, slopes = _slopes(part, pose, prior, skewed=skewed)
         terms.append((EFFICIENT / width) ** 2 / CORRELATED * loss_terms(error, slopes, width))

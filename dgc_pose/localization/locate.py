@@ -76,8 +76,10 @@ class Locator:
         masks: Path | None = None,
     ) -> None:
         check_type(model, Model, "model")
-        self.model, self.matcher = model, matcher or load_matcher()
-        self.options, self.masks = options or EstimationOptions(), masks
+        self.model = model
+        self.matcher = matcher or load_matcher()
+        self.options = options or EstimationOptions()
+        self.masks = masks
         self.bad: dict[str, str] = {}
         self._features: dict[str, np.ndarray] = {}
         # A cache of only three images would read the model's images again for each query.

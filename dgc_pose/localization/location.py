@@ -125,7 +125,8 @@ class Location:
         """The location with another pose (3, 4) and, in place of the covariance C, spread C
         spread^T. spread: (6, 6)."""
         assert self.covariance is not None
-        R, t = cam_from_world[:, :3], cam_from_world[:, 3]
+        R = cam_from_world[:, :3]
+        t = cam_from_world[:, 3]
         covariance = spread @ self.covariance @ spread.T
         return replace(self, R=R, centre=-R.T @ t, covariance=covariance)
 

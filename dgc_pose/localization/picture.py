@@ -82,7 +82,8 @@ def picture_text(
     # A picture may be squeezed along a side and cut, but then has hardly the shape of a sensor.
     if not (is_skewed or (is_squeezed and is_shifted and has_sensor_shape(camera))):
         return ""
-    (x, y), (width, height) = K[:2, 2].tolist(), size.round().tolist()
+    x, y = K[:2, 2].tolist()
+    width, height = size.round().tolist()
     return (
         f"most matches agree with fy / fx {ratio:.3f}, skew {skew:.3f} and the principal point "
         f"({x:.0f}, {y:.0f}) in {width:.0f}x{height:.0f} pixels, which no camera has"

@@ -35,7 +35,8 @@ _HOPELESS = 5  # database images without a likely pose that end the search
 _MIN_POINTS = 12  # model points with which a single database image determines the distance
 _KNOWN_FOCAL_STD = 0.01  # of ln f; below it, the camera counts as exact in further pairs
 _LIKELY = 0.1  # a pair's pose of higher probability is likely
-_ACCURATE_DEG, _ACCURATE_SHARE = 0.05, 0.001  # sufficient errors: of R; of the centre / extent
+_ACCURATE_DEG = 0.05  # a sufficient error of R
+_ACCURATE_SHARE = 0.001  # a sufficient error of the centre / extent
 _MIN_AGREEING = 3  # database images that must agree for the errors to suffice
 _MIN_AGAINST_K = 2  # more than half of at least this many database images contradict a wrong K
 _CANDIDATES = 12  # most similar database images, the candidates for the next one
@@ -87,8 +88,12 @@ class LocationSearch:
         whole: bool = False,
         most: int = MAX_IMAGES,
     ) -> None:
-        self.model, self.camera, self.options = model, replace(camera, identity=None), options
-        self.stated, self.waiting, self.whole = camera, list(names), whole
+        self.model = model
+        self.camera = replace(camera, identity=None)
+        self.options = options
+        self.stated = camera
+        self.waiting = list(names)
+        self.whole = whole
         self.most = most
         self.pairs: list[Pair] = []
         # By name: for the pairs with hypotheses, and for those that support the common pose.
@@ -181,13 +186,15 @@ class LocationSearch:
         )
 
     def _correspondences(self, pair: Pair) -> PairCorrespondences:
-        pose, camera = self.model.poses[pair.name], self.model.cameras[pair.name]
+        pose = self.model.poses[pair.name]
+        camera = self.model.cameras[pair.name]
         problem = TwoViewProblem.of(pair.matches, camera, self.camera, self.options)
         hypotheses = [Hypothesis.of_pose(problem, h.R, h.t) for h in pair.pose.hypotheses]
         return PairCorrespondences(pose[:, :3], self.model.centre(pair.name), problem, hypotheses)
 
     def _points(self, pair: Pair) -> PointCorrespondences:
-        camera, threshold = self.camera, self.correspondences[pair.name].threshold
+        camera = self.camera
+        threshold = self.correspondences[pair.name].threshold
         seen = camera.normalise(pair.seen)
         points = self.model.points[pair.points]
         return PointCorrespondences(points, seen, camera.distortion, threshold)
@@ -224,7 +231,8 @@ class LocationSearch:
 
     def location(self) -> Location:
         """The location from the database images matched so far."""
-        matched, pose = tuple(map(self._matched, self.pairs)), self.pose
+        matched = tuple(map(self._matched, self.pairs))
+        pose = self.pose
         none_agree = tuple(replace(image, agrees=False) for image in matched)
         if reason := self._why_picture():
             return Location("nowhere", reason, none_agree, camera=self.camera)
@@ -256,10 +264,14 @@ class LocationSearch:
         if reason := self._why_nowhere([*rotations.values()]):
             return Location("nowhere", reason, none_agree, camera=self.camera)
         best = max(likely, key=lambda pair: pair.pose.probability or 0.0)
-        R, t, camera = rotations[best.name], best.pose.hypotheses[0].t, self.camera
+        R = rotations[best.name]
+        t = best.pose.hypotheses[0].t
+        camera = self.camera
         why = f"only {best.name} has a pose"
         if pose is not None and len(likely) > 1:
-            R, t, camera = pose.R, self.correspondences[best.name].pair_pose(pose)[1], self.fitted
+            R = pose.R
+            t = self.correspondences[best.name].pair_pose(pose)[1]
+            camera = self.fitted
             why = "they lie on one line of sight"
         return Location(
             "no_scale",
@@ -273,7 +285,8 @@ class LocationSearch:
 
     def _unusual_camera(self) -> tuple[str, ...]:
         """Warnings about what cropping or squeezing did to the fitted camera of the query."""
-        camera, K = self.fitted, self.stated.K
+        camera = self.fitted
+        K = self.stated.K
         if not is_edited(self.stated):
             return ()
         squeeze = abs(math.log(camera.K[1, 1] / camera.K[0, 0] * K[0, 0] / K[1, 1]))
@@ -341,10 +354,12 @@ class LocationSearch:
         return 1 / (1 + math.exp(-log_odds))
 
     def _matched(self, pair: Pair) -> DatabaseImage:
-        agreeing, inliers = self.agreeing.get(pair.name), pair.pose.inliers
+        agreeing = self.agreeing.get(pair.name)
+        inliers = pair.pose.inliers
         if agreeing is not None and self.pose is not None:
             inliers = np.zeros(len(pair.matches), dtype=bool)
             inliers[agreeing.problem.index] = agreeing.hypothesis(self.pose).inliers_in_front
         likely = None if pair.pose.any_probability is None else pair.probability
-        agrees, shown = agreeing is not None, (pair.points, pair.seen)
+        agrees = agreeing is not None
+        shown = (pair.points, pair.seen)
         return DatabaseImage(pair.name, pair.matches, inliers, likely, agrees, *shown)

@@ -55,7 +55,9 @@ def refine(
         none = matches.subset(local.index[:0])
         return none, none
     agreeing = matches.subset(local.index)
-    pixels1, pixels2, error_px = image1.pixels, image2.pixels, matches.error_px
+    pixels1 = image1.pixels
+    pixels2 = image2.pixels
+    error_px = matches.error_px
     aligned = align(pixels1, pixels2, local, error_px, max_matches, corner_radius)
     good = aligned.converged & (aligned.zncc >= MIN_ZNCC)
     moved = replace(
@@ -66,8 +68,10 @@ def refine(
         error_px=ALIGNED_ERROR_PX * aligned.pixel,
     )
     rows = np.searchsorted(local.index, aligned.index[good])
-    points1, points2 = agreeing.points1.copy(), agreeing.points2.copy()
-    points1[rows], points2[rows] = moved.points1, moved.points2
+    points1 = agreeing.points1.copy()
+    points2 = agreeing.points2.copy()
+    points1[rows] = moved.points1
+    points2[rows] = moved.points2
     return moved, replace(agreeing, points1=points1, points2=points2)
 
 
@@ -103,20 +107,25 @@ def align(
     grey1, grey2 = (cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY) for pixels in (small1, small2))
     corners, strength = nearby_corners(grey2, matches.points2, corner_radius)
     rows = spread(corners, strength, (grey2.shape[1], grey2.shape[0]), max_matches)
-    chosen, corners = matches.subset(rows), corners[rows]
+    chosen = matches.subset(rows)
+    corners = corners[rows]
     moved = corners - chosen.points2
     start = chosen.points1 + np.einsum("nij,nj->ni", chosen.affinity, moved)
     chosen = replace(chosen, points1=start, points2=corners)
-    grey1, grey2 = grey1.astype(np.float32), grey2.astype(np.float32)
+    grey1 = grey1.astype(np.float32)
+    grey2 = grey2.astype(np.float32)
 
     patches = align_patches(grey1, grey2, chosen, PATCH_RADIUS)
     converged = _converged(patches, start, grey1, _SHIFT * error)
-    points1, zncc = patches.points1, patches.zncc
+    points1 = patches.points1
+    zncc = patches.zncc
     rest = np.flatnonzero(~(converged & (zncc >= MIN_ZNCC)))
     if len(rows) - len(rest) < _ENOUGH:
         again1, again_zncc, similar = _from_coarse(grey1, grey2, chosen.subset(rest), error)
         again = rest[similar]
-        points1[again], zncc[again], converged[again] = again1, again_zncc, True
+        points1[again] = again1
+        zncc[again] = again_zncc
+        converged[again] = True
     return Aligned(
         _to_original(points1, scale1),
         _to_original(corners, scale2),
@@ -140,7 +149,8 @@ def _from_coarse(
     near = _converged(coarse, matches.points1, grey1, _SHIFT * error)
     similar = np.flatnonzero(near & (coarse.zncc >= MIN_ZNCC))
     affinity = coarse.affinity[similar] * scale2 / scale1[:, None]
-    points1, zncc = coarse.points1[similar], coarse.zncc[similar]
+    points1 = coarse.points1[similar]
+    zncc = coarse.zncc[similar]
     start = replace(matches.subset(similar), points1=points1, affinity=affinity)
     fine = align_patches(grey1, grey2, start, PATCH_RADIUS)
     better = _converged(fine, points1, grey1, _SHIFT * error) & (fine.zncc >= MIN_ZNCC)
@@ -153,9 +163,11 @@ def _shrunk(
 ) -> tuple[np.ndarray, np.ndarray, LocalMatches, np.ndarray, np.ndarray]:
     """Both images, each shrunk by its factor; the matches in pixels of the shrunk images; and for
     each image its scale along both axes (2,), shrunk pixels per original pixel."""
-    small1, small2 = resize_by(pixels1, shrinks[0]), resize_by(pixels2, shrinks[1])
+    small1 = resize_by(pixels1, shrinks[0])
+    small2 = resize_by(pixels2, shrinks[1])
     sizes = [pixels.shape[1::-1] for pixels in (pixels1, small1, pixels2, small2)]
-    scale1, scale2 = np.divide(sizes[1], sizes[0]), np.divide(sizes[3], sizes[2])
+    scale1 = np.divide(sizes[1], sizes[0])
+    scale2 = np.divide(sizes[3], sizes[2])
     moved = LocalMatches(
         rescale(matches.points1, *sizes[:2]),
         rescale(matches.points2, *sizes[2:]),
@@ -198,19 +210,23 @@ def nearby_corners(
     height, width = grey.shape
     near = np.arange(-radius, radius + 1)
     x, y = np.rint(points).astype(np.int64).T[:, :, None] + near
-    x, y = x.clip(0, width - 1), y.clip(0, height - 1)
-    corners, strength = np.empty((len(points), 2)), np.empty(len(points), np.float32)
+    x = x.clip(0, width - 1)
+    y = y.clip(0, height - 1)
+    corners = np.empty((len(points), 2))
+    strength = np.empty(len(points), np.float32)
     strip = y[:, radius] // _STRIP
 
     def measure(number: int) -> None:
         here = np.flatnonzero(strip == number)
-        columns, rows = x[here], y[here]
+        columns = x[here]
+        rows = y[here]
         left, top = (max(0, int(axis.min()) - _CORNER_MARGIN) for axis in (columns, rows))
         bottom, right = (int(axis.max()) + _CORNER_MARGIN + 1 for axis in (rows, columns))
         measured = cv2.cornerMinEigenVal(grey[top:bottom, left:right], _CORNER_BLOCK)
         values = measured[(rows - top)[:, :, None], (columns - left)[:, None]]
         values = values.reshape(len(here), -1)
-        each, best = np.arange(len(here)), values.argmax(1)
+        each = np.arange(len(here))
+        best = values.argmax(1)
         row, column = np.divmod(best, len(near))
         corners[here] = np.stack([columns[each, column], rows[each, row]], -1)
         strength[here] = values[each, best]

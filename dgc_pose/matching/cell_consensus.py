@@ -48,7 +48,8 @@ def likely_cells(
     coarse1, coarse2 = (
         features.coarse.reshape(-1, features.coarse.shape[2]) for features in (source, target)
     )
-    children1, children2 = source.middle_by_cell, target.middle_by_cell
+    children1 = source.middle_by_cell
+    children2 = target.middle_by_cell
     parts = slices(len(coarse2), _CHUNK)
     similar = min(similar, len(coarse1))
     scaled = scales[0] * coarse2
@@ -117,7 +118,8 @@ def propagate(
     supports = in_threads(support, _NEIGHBOURS)
     beliefs = log_softmax(scores, 1)
     for _ in range(PASSES):
-        probability, total = np.exp(beliefs), scores.copy()
+        probability = np.exp(beliefs)
+        total = scores.copy()
         for cells, neighbours, agreement in supports:
             # Two neighbours support each other by the same agreement.
             for to, of, agreed in (
@@ -165,7 +167,8 @@ class EpipolarBand:
 
     def among(self, cells2: np.ndarray, cells1: np.ndarray) -> np.ndarray:
         """Which source cells (n, m) each target cell (n, q) may match: (n, q, m) bool."""
-        lines1, lines2 = self.points2[cells2] @ self.E, self.points1 @ self.E.T
+        lines1 = self.points2[cells2] @ self.E
+        lines2 = self.points1 @ self.E.T
         distance = np.abs(lines1 @ self.points1[cells1].transpose(0, 2, 1))
         norms2 = (lines2[:, :2] ** 2).sum(1)[cells1]
         norms = (lines1[..., :2] ** 2).sum(2)[:, :, None] + norms2[:, None]

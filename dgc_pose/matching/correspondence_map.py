@@ -140,10 +140,12 @@ def select_matches(
         keep = np.zeros_like(keep)
     # Evenly spread matches condition the essential matrix well, even if the confident cells
     # concentrate on one object.
-    cells, confidence = np.argwhere(keep)[:, ::-1], dense.matchability[keep]
+    cells = np.argwhere(keep)[:, ::-1]
+    confidence = dense.matchability[keep]
     side = max(1.0, math.sqrt(len(cells) / options.max_matches))
     rows = spread(cells, confidence, keep.shape[::-1], options.max_matches, side, 1.05)
-    points1, points2 = dense.map[keep][rows], dense.grid[keep][rows]
+    points1 = dense.map[keep][rows]
+    points2 = dense.grid[keep][rows]
     return Matches(points1, points2, confidence[rows], error_px=dense.error_px)
 
 
@@ -164,7 +166,8 @@ def rotation_between(points1: np.ndarray, points2: np.ndarray) -> float:
     0 without points."""
     if len(points1) == 0:
         return 0.0
-    points1, points2 = points1 - np.median(points1, 0), points2 - np.median(points2, 0)
+    points1 = points1 - np.median(points1, 0)
+    points2 = points2 - np.median(points2, 0)
     # As complex numbers, points1 = a points2: |a| is the scale, its argument the angle from 2 to 1.
     a = (points1 @ (1, 1j) * (points2 @ (1, -1j))).sum()
     # y points down, so a counter-clockwise rotation is by a negative angle.
@@ -176,7 +179,8 @@ def matchable_points(dense: CorrespondenceMap) -> tuple[np.ndarray, np.ndarray]:
     matchable = dense.matchability >= _MATCHABLE
     if matchable.mean() < _LEAST_SHARE:
         matchable = np.zeros_like(matchable)
-    points1, points2 = dense.map[matchable], dense.grid[matchable]
+    points1 = dense.map[matchable]
+    points2 = dense.grid[matchable]
     return points1.astype(np.float64), points2.astype(np.float64)
 
 

@@ -72,7 +72,8 @@ def dense_map(
         again = decode(likely)
         inside = likely[1].mask(again[1].shape[::-1])
         if again[1][inside].mean() > mean:
-            views, (points, matchability, size) = likely, again
+            views = likely
+            points, matchability, size = again
     seen = matchability.shape[::-1]
     grid = whole[1].centres(seen)
     if views[1] != whole[1]:  # resample to image 2 as it is; matchability 0 outside the view
@@ -80,7 +81,8 @@ def dense_map(
         columns, rows = (side * cells // INPUT_SIZE for side in sides)
         grid = whole[1].centres((columns, rows))
         at = views[1].to_view(grid, seen)
-        points, matchability = bilinear(points, at), bilinear(matchability, at)
+        points = bilinear(points, at)
+        matchability = bilinear(matchability, at)
         shown = within(views[1].to_view(grid), views[1].size)
         matchability = np.where(shown, matchability, np.float32(0))
     return CorrespondenceMap(
@@ -256,7 +258,8 @@ def _similarity(best: _Candidate) -> tuple[np.ndarray, np.ndarray]:
     sure = peaks >= np.median(peaks)
     wide = best.wide.points[best.logarithms.argmax(0)][sure]
     narrow = best.narrow.points[sure]
-    matrix, fits = None, 0
+    matrix = None
+    fits = 0
     if len(narrow) >= _MIN_MATCHES:
         matrix, mask = cv2.estimateAffinePartial2D(
             narrow, wide, ransacReprojThreshold=_REACH * STRIDE * best.wide.pixel
@@ -266,7 +269,8 @@ def _similarity(best: _Candidate) -> tuple[np.ndarray, np.ndarray]:
     linear = similarity(angle, best.wide.pixel / best.narrow.pixel)
     if matrix is not None and fits >= _MIN_MATCHES:
         change = np.linalg.solve(linear, matrix[:, :2])  # near the identity, if the fit is right
-        off, grown = abs(math.atan2(change[0, 1], change[0, 0])), float(np.hypot(*change[0]))
+        off = abs(math.atan2(change[0, 1], change[0, 0]))
+        grown = float(np.hypot(*change[0]))
         if off < math.radians(_ANGLE_OFF) and 1 / _SCALE_OFF < grown < _SCALE_OFF:
             return matrix[:, :2], matrix[:, 2]
     return linear, np.median(wide - narrow @ linear.T, 0)

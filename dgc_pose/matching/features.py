@@ -129,7 +129,8 @@ def _compared_views(
     # A weak map is too little evidence for cropping, unless the fields of view differ.
     wider = scale * math.sqrt(math.prod(dense.size2) / math.prod(dense.size1))
     if dense.mean_matchability < WEAK and 1 / _WIDER < wider < _WIDER:
-        points1, points2 = points1[:0], points2[:0]
+        points1 = points1[:0]
+        points2 = points2[:0]
     window1 = window_shown(points1[within(points1, dense.size1)], dense.size1)
     window2 = window_shown(points2, dense.size2)
     angle = 0.0 if abs(angle) <= _UPRIGHT else _ANGLE_STEP * round(angle / _ANGLE_STEP) % 360
@@ -139,7 +140,9 @@ def _compared_views(
     full1, _ = equal_scales(view1.size, view2.size, scale, LONG_SIDE)
     if angle % 90:  # resize the image before it is rotated: mostly it is shrunk
         view2 = View.window(image2, *window2, angle, factor2)
-    first, second, full = shown_at(view1, factor1), shown_at(view2, factor2), shown_at(view1, full1)
+    first = shown_at(view1, factor1)
+    second = shown_at(view2, factor2)
+    full = shown_at(view1, full1)
     return first, second, max(first[1]) / max(full[1])
 
 
@@ -167,9 +170,11 @@ def _neighbours(
     hypothesis: TwoViews | None,
 ) -> Matches:
     """Mutual nearest neighbours of two views; with a hypothesis, only near its epipolar lines."""
-    (view1, source), (view2, target) = first, second
+    view1, source = first
+    view2, target = second
     guided = _guided_cells(dense, first, second)
-    coarse, middle = None, None
+    coarse = None
+    middle = None
     if hypothesis is not None:
         coarse = EpipolarBand(hypothesis, first, second, children=False).all()
         middle = EpipolarBand(hypothesis, first, second, children=True)
@@ -207,7 +212,8 @@ def equal_scales(size1: Size, size2: Size, scale: float, long_side: int) -> tupl
     of stride 4 would be too few and too large."""
     factor1, factor2 = (min(1.0, long_side / max(size)) for size in (size1, size2))
     ratio = scale * factor1 / factor2
-    factor1, factor2 = factor1 / max(ratio, 1.0), factor2 * min(ratio, 1.0)
+    factor1 = factor1 / max(ratio, 1.0)
+    factor2 = factor2 * min(ratio, 1.0)
     side = max(factor1 * max(size1), factor2 * max(size2))
     larger = min(2.0, long_side / side) if side < _SMALL else 1.0
     return larger * factor1, larger * factor2
@@ -223,7 +229,8 @@ def mutual_neighbours(
     cells (M, 2) int, x and y, and cosines (M,). candidates: for each of the target's n cells of
     stride 16, indices (n, K) of the source's. band: which cells of stride 8 may match."""
     middle1, middle2 = (np.concatenate(features.middle) for features in (source, target))
-    children1, children2 = _children(source.coarse), _children(target.coarse)
+    children1 = _children(source.coarse)
+    children2 = _children(target.coarse)
 
     def compare(rows: slice) -> tuple[np.ndarray, np.ndarray]:
         """The children (m, 4 K) of each cell's candidates, and their cosines (m, 4, 4 K)."""
@@ -234,13 +241,16 @@ def mutual_neighbours(
         return index, scores
 
     limit = np.full(len(middle1), -np.inf, np.float32)  # best cosine of each source cell
-    cosines, cells = [], []
+    cosines = []
+    cells = []
     for index, scores in in_threads(compare, slices(len(candidates), _CHUNK)):
         np.maximum.at(limit, index.ravel(), scores.max(1).ravel())
         best = scores.argmax(2)
         cosines.append(np.take_along_axis(scores, best[..., None], 2).ravel())
         cells.append(np.take_along_axis(index, best, 1).ravel())
-    cosine, cell1, cell2 = np.concatenate(cosines), np.concatenate(cells), children2.ravel()
+    cosine = np.concatenate(cosines)
+    cell1 = np.concatenate(cells)
+    cell2 = children2.ravel()
     mutual = (cosine >= limit[cell1]) & np.isfinite(cosine)
     points1, points2 = (
         np.stack(np.divmod(cell[mutual], features.middle.shape[1])[::-1], -1)
@@ -286,7 +296,8 @@ def subcell_points(
 
 def _guided_cells(dense: CorrespondenceMap, first: Encoded, second: Encoded) -> np.ndarray:
     """For each target cell, the indices (n, 4) of the 2x2 source cells around the map's point."""
-    (view1, source), (view2, target) = first, second
+    view1, source = first
+    view2, target = second
     rows, columns = source.coarse.shape[:2]
     points2 = view2.centres(target.coarse.shape[1::-1]).reshape(-1, 2)
     cells = view1.to_view(points_in_image1(dense, points2), (columns, rows))

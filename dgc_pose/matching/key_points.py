@@ -138,7 +138,8 @@ class OnnxMatcher(KeyPointMatcher):
         self.name = self.path.stem
         self._digest = hashlib.sha256(read_bytes(self.path)).hexdigest()[:16]
         self._session = Session(self.path, {})
-        inputs, outputs = self._session.inputs, self._session.outputs
+        inputs = self._session.inputs
+        outputs = self._session.outputs
         shape: Shape = inputs[0][1] if len(inputs) == 1 else []
         self._roles = _find_roles([shape for _, shape in outputs])
         if len(shape) != 4 or shape[1] not in (1, 3) or not self._roles:

@@ -26,7 +26,10 @@ if TYPE_CHECKING:
 NAME = "aliked-lightglue"
 PACKAGE = "dgc_pose_lightglue"
 FORMAT = 1  # of the graphs and weights
-ALIKED, LAYER, WEIGHTS, SHAPES = "aliked.onnx", "layer.onnx", "weights.safetensors", "weights.json"
+ALIKED = "aliked.onnx"
+LAYER = "layer.onnx"
+WEIGHTS = "weights.safetensors"
+SHAPES = "weights.json"
 LAYERS = 9
 _STOP = 0.95  # share of confident key points from which the remaining layers are left out
 _MATCHABLE = 0.01  # a confident key point whose probability of a match is lower is left out
@@ -121,7 +124,8 @@ class LightGlueMatcher(KeyPointMatcher):
         )
         similarity = projected1 @ projected2.T / np.float32(np.sqrt(projected1.shape[1]))
         first, second = (_log_sigmoid(self._logit(layer, "matchable", one)) for one in left)
-        rows, columns = _log_softmax(similarity, 1), _log_softmax(similarity, 0)
+        rows = _log_softmax(similarity, 1)
+        columns = _log_softmax(similarity, 0)
         rows += columns
         rows += first[:, None]
         rows += second

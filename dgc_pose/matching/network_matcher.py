@@ -49,7 +49,8 @@ class NetworkMatcher(Matcher):
         cache: ImageCache | None = None,
     ) -> None:
         self.cache = cache or ImageCache(None)
-        self.engine, self.name = engine, engine.config.name
+        self.engine = engine
+        self.name = engine.config.name
         self.options = options or MatchingOptions()
 
     @property

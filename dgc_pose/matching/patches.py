@@ -51,9 +51,11 @@ class LocalMatches:
 
 def consistent(matches: Matches, neighbours: int) -> LocalMatches:
     """The matches that fit the affinity of their `neighbours` nearest matches in image 2."""
-    points1, points2 = matches.points1, matches.points2
+    points1 = matches.points1
+    points2 = matches.points2
     finite = np.flatnonzero(np.isfinite(points1).all(1) & np.isfinite(points2).all(1))
-    points1, points2 = points1[finite], points2[finite]
+    points1 = points1[finite]
+    points2 = points2[finite]
     if len(points1) <= neighbours:
         return LocalMatches(points1[:0], points2[:0], np.zeros((0, 2, 2)), finite[:0])
     distance, index = nearest(points2, neighbours + 1)
@@ -76,7 +78,8 @@ def consistent(matches: Matches, neighbours: int) -> LocalMatches:
         weights = 1 / (1 + (residual / (tolerance * (1 + 2 * remaining))) ** 2) ** 2
     (xx, yx), (xy, yy), fitted = fit
     # Half the sum and half the difference of the singular values; middle - half < 0 if mirrored.
-    middle, half = np.hypot(xx + yy, yx - xy) / 2, np.hypot(xx - yy, yx + xy) / 2
+    middle = np.hypot(xx + yy, yx - xy) / 2
+    half = np.hypot(xx - yy, yx + xy) / 2
     kept = (
         (np.linalg.norm(fitted - points1.T, axis=0) < 2 * tolerance)
         & ((residual < 2 * tolerance).sum(0) >= _LEAST_SUPPORT)
@@ -125,8 +128,10 @@ def _align(
     """The arrays of `Patches`."""
     offsets, weights, patches, contrasts, gain = _template(grey2, matches.points2, radius, affine)
     most = min(_STEP, 0.4 * radius)  # below half the radius, a change of the affinity is invertible
-    points1, affinity = matches.points1.copy(), matches.affinity.copy()
-    zncc, length = np.zeros(len(points1)), np.full(len(points1), np.inf)
+    points1 = matches.points1.copy()
+    affinity = matches.affinity.copy()
+    zncc = np.zeros(len(points1))
+    length = np.full(len(points1), np.inf)
     for _ in range(_AFFINE_ITERATIONS if affine else _ITERATIONS):
         moving = np.flatnonzero(length >= _STILL)
         if len(moving) == 0:
@@ -165,12 +170,14 @@ def _template(
     The gain times a difference is the shift in pixels and, if affine, the columns of the change of
     the affinity times the radius.
     """
-    axis, halves = np.arange(-radius, radius + 1.0), np.arange(-radius - 0.5, radius + 1.0)
+    axis = np.arange(-radius, radius + 1.0)
+    halves = np.arange(-radius - 0.5, radius + 1.0)
     offsets = window_offsets(radius).astype(np.float32)
     weights = np.exp(-(offsets**2).sum(1) / (2 * (0.6 * radius) ** 2))
     weights /= weights.sum()
     patches, contrast = _standardised(_window(grey, points, axis, axis), weights)
-    across, down = _window(grey, points, halves, axis), _window(grey, points, axis, halves)
+    across = _window(grey, points, halves, axis)
+    down = _window(grey, points, axis, halves)
     slopes = (
         np.diff(across.reshape(-1, len(axis), len(halves)), axis=2),
         np.diff(down.reshape(-1, len(halves), len(axis)), axis=1),

@@ -45,7 +45,8 @@ _NOISE_GRADIENT = 1 / (8 * np.pi * _GRADIENT**4)
 _NEIGHBOURS = 8  # matches whose affinity predicts where a cell lies
 # Distance from a cell to the nearest match, in cells of stride 8 at full resolution: below the
 # first, the cell is at a match; between the other two, it is around the matches.
-_AT_MATCHES, _RIM = 1.5, (3.0, 8.0)
+_AT_MATCHES = 1.5
+_RIM = (3.0, 8.0)
 _MOST = 250  # most cells of each kind, drawn at random
 _REACH = 2  # cells along each axis around a place that are searched
 _PLACES = 4  # random places that a cell is compared with
@@ -134,7 +135,8 @@ def _eigenvalues(grey: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         )
         for product in (x * x, y * y, x * y)
     )
-    mean, difference = (xx + yy) / 2, (xx - yy) / 2
+    mean = (xx + yy) / 2
+    difference = (xx - yy) / 2
     half = np.sqrt(difference * difference + xy * xy)
     small, large = (cv2.resize(value, (width, height)) for value in (mean - half, mean + half))
     return small, large
@@ -184,7 +186,8 @@ def _likeness(
     """The likeness of cells of the target (image 2 of `every`): at the matches, and around them."""
     matches = consistent(every, _NEIGHBOURS)
     rng = np.random.default_rng(_SEED)
-    (view1, features1), (view2, features2) = source, target
+    view1, features1 = source
+    view2, features2 = target
     sides1, sides2 = (features.middle.shape[1::-1] for features in (features1, features2))
     centres1, centres = (
         view.centres(sides).reshape(-1, 2) for view, sides in ((view1, sides1), (view2, sides2))
@@ -193,7 +196,8 @@ def _likeness(
     at = view2.to_view(matches.points2, sides2)
     distance, nearest = nearest_to(pixel_grid(sides2).reshape(-1, 2), at)
     distance = distance / scale
-    usable, result = texture.at(centres) & ~view2.image.is_masked(centres), []
+    usable = texture.at(centres) & ~view2.image.is_masked(centres)
+    result = []
     for kind in (distance < _AT_MATCHES, (distance >= _RIM[0]) & (distance < _RIM[1])):
         chosen = rng.permutation(np.flatnonzero(kind & usable))[:_MOST]
         near = matches.subset(nearest[chosen])

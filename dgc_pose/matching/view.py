@@ -76,7 +76,8 @@ class View:
     def pixels(self) -> np.ndarray:
         """The view as an image (height, width, 3) uint8: shrunk by area means, otherwise bilinear,
         with ImageNet's mean colour outside the image."""
-        pixels, size = self.image.pixels, self.image.size
+        pixels = self.image.pixels
+        size = self.image.size
         if self == View.whole(self.image, self.angle_deg) and self.angle_deg % 90 == 0:
             return np.ascontiguousarray(np.rot90(pixels, round(self.angle_deg / 90)))
         matrix = self.matrix
@@ -111,7 +112,8 @@ def similarity(angle_deg: float, scale: float) -> np.ndarray:
 def _cosine_sine(angle_deg: float) -> tuple[float, float]:
     """The cosine and sine, exact for quarter turns."""
     quarters, rest = divmod(angle_deg, 90)
-    cosine, sine = math.cos(math.radians(rest)), math.sin(math.radians(rest))
+    cosine = math.cos(math.radians(rest))
+    sine = math.sin(math.radians(rest))
     for _ in range(int(quarters) % 4):
         cosine, sine = -sine, cosine
     return cosine, sine

@@ -22,7 +22,8 @@ class VismatchMatcher(Matcher):
     """
 
     def __init__(self, name: str, device: str = "auto") -> None:
-        self.name, model = name, name.removeprefix(PREFIX)
+        self.name = name
+        model = name.removeprefix(PREFIX)
         try:
             import torch
             import vismatch
@@ -52,7 +53,8 @@ class VismatchMatcher(Matcher):
                 result = self._model(planes1, planes2)
         except Exception as error:
             raise InputError(f"{self.name} failed on the pair: {reason(error)}") from error
-        points1, points2 = result["matched_kpts0"], result["matched_kpts1"]
+        points1 = result["matched_kpts0"]
+        points2 = result["matched_kpts1"]
         confidence = result.get("matched_confidences")
         confidence = np.ones(len(points1)) if confidence is None else confidence.clip(0, 1)
         # Only detectors list the key points that they detected.

@@ -47,7 +47,8 @@ def match_evidence(source: Sequence[Array], target: Sequence[Array], scales: Arr
 def pooled_evidence(source: Scales, target: Scales, scales: Array) -> Array:
     """For each pair of cells, the largest `match_evidence` of three comparisons: of both images at
     full scale, and of each with the other at the second scale."""
-    (full1, smaller1), (full2, smaller2) = source, target
+    full1, smaller1 = source
+    full2, smaller2 = target
     evidence = match_evidence(full1, full2, scales)
     for pair in ((smaller1, full2), (full1, smaller2)):
         evidence = _library(evidence).maximum(evidence, match_evidence(*pair, scales))

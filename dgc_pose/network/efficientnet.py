@@ -42,7 +42,8 @@ class EfficientPyramid(nn.Module):
             nn.ReLU(),
         )
         self.stem = nn.Sequential(_strided(3, STEM_CHANNELS, 3), nn.ReLU6())
-        inputs, taken = STEM_CHANNELS, {}
+        inputs = STEM_CHANNELS
+        taken = {}
         self.blocks = nn.ModuleList()
         for index, (channels, kernel, stride, expansion) in enumerate(BLOCKS):
             self.blocks.append(InvertedResidual(inputs, channels, kernel, stride, expansion))
@@ -63,7 +64,8 @@ class EfficientPyramid(nn.Module):
 
     def coarse(self, image: Tensor) -> list[Tensor]:
         """Features of levels 2 to 4 (strides 4, 8 and 16) of an image (B, 3, 16 h, 16 w)."""
-        features, taken = self.stem(image), []
+        features = self.stem(image)
+        taken = []
         for index, block in enumerate(self.blocks):
             features = block(features)
             if index in LAST_BLOCKS:

@@ -60,7 +60,8 @@ class DGCNet(nn.Module):
         else:
             self.pyramid = Pyramid(config)
         for level in range(COARSEST, -1, -1):
-            inputs, outputs = config.decoder_inputs(level), config.map_channels
+            inputs = config.decoder_inputs(level)
+            outputs = config.map_channels
             self.add_module(f"reg_{level}", Decoder(inputs, config.decoders[level], outputs))
         if config.matchability == "network":
             self.matchability_net = MatchabilityNet(2 * config.level_channels[0])
@@ -129,8 +130,10 @@ class DGCNet(nn.Module):
         """The state of level 4 from both images' features: (B, 2 or 3, h, w), the map and, with
         matchability "decoder", the mask logit. With `any_shape`, it is the peak of the evidence,
         corrected by the decoder."""
-        level1, level2 = source[COARSEST], target[COARSEST]
-        grid, target_grid = _grid(level1), _grid(level2)
+        level1 = source[COARSEST]
+        level2 = target[COARSEST]
+        grid = _grid(level1)
+        target_grid = _grid(level2)
         if not self.config.any_shape:
             correlation = global_correlation(l2_normalise(level1), l2_normalise(level2))
             state = level1.new_zeros(len(level1), self.config.map_channels, *grid)

@@ -83,7 +83,8 @@ def check_state(
     differ from `wanted`, or if values are not finite real floats."""
     expected = {key: tuple(shape) for key, shape in wanted.items() if not key.endswith(COUNTER)}
     for key in [*expected, *state]:
-        value, shape = state.get(key), expected.get(key)
+        value = state.get(key)
+        shape = expected.get(key)
         if value is None:
             fault = f"lacks {key}"
         elif value.shape != shape:

@@ -30,10 +30,12 @@ from dgc_pose.system.colmap_library import pycolmap
 
 # Largest reprojection error of a point in the adjustment: in pixels, or times the median error, as
 # the location may be off.
-_MAX_ERROR_PX, _WIDE = 2.0, 3.0
+_MAX_ERROR_PX = 2.0
+_WIDE = 3.0
 # Expected errors over those of the adjustment; and over these for an exact K, which cannot make up
 # for errors of the walk's camera: docs/experiments.md.
-_ERROR_FACTOR, _EXACT_FACTOR = 2.2, 1.2
+_ERROR_FACTOR = 2.2
+_EXACT_FACTOR = 1.2
 WALK = "walk/"  # prefix of the names of the walk's images
 
 
@@ -161,7 +163,8 @@ class _Start:
     def __init__(
         self, model: Model, whole: pycolmap.Reconstruction, added: Collection[int] = ()
     ) -> None:
-        self._model, self._whole = model, whole
+        self._model = model
+        self._whole = whole
         self._images = [image for image in whole.images.values() if image.has_pose]
         self._ids = sorted({image.camera_id for image in self._images})
         self._by_name = {

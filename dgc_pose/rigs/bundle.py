@@ -40,7 +40,8 @@ from dgc_pose.localization.fit import even_sample
 from dgc_pose.system.parallel import one_blas_thread
 
 _POSE = 6  # parameters: a rotation vector and the centre
-_ROUNDS, _STEPS = 2, 12  # selections of the inliers, and steps after each
+_ROUNDS = 2  # selections of the inliers
+_STEPS = 12  # after each selection
 _MIN_INLIERS = 8  # of a picture or of a pair
 _FITTED = 200  # matches of a pair; the errors of neighbours are correlated
 _LEAST_INFORMATION = 1e-9  # of a point, over the mean: two lines of sight may be one

@@ -20,7 +20,8 @@ from dgc_pose.system.texts import json_text
 RIG = "rig.json"
 FILES = (CALIBRATION, "camera_array.toml", "rig_config.json", "stereo.yml", RIG)
 _FACTOR = 3.0  # a change above this times the expected error is a motion
-_LEAST_ANGLE_DEG, _LEAST_SHIFT = 0.05, 1e-3  # smaller changes do not count; the shift over extent
+_LEAST_ANGLE_DEG = 0.05  # smaller changes do not count
+_LEAST_SHIFT = 1e-3  # over extent; smaller changes do not count
 
 
 def write_rig(
@@ -196,7 +197,8 @@ def _unmoved(old: np.ndarray, new: np.ndarray, limits: np.ndarray) -> list[int]:
 def _changes(old: np.ndarray, new: np.ndarray, still: Sequence[int]) -> np.ndarray:
     """Angle in degrees and distance (N, 2) between the poses (N, 3, 4) of two calibrations, aligned
     by a similarity of the cameras `still`. With a single one, all cameras determine the scale."""
-    before, after = camera_centres(old), camera_centres(new)
+    before = camera_centres(old)
+    after = camera_centres(new)
     scaled = still if len(still) > 1 else range(len(old))
     spread = [np.linalg.norm(at[scaled] - at[scaled].mean(0)) for at in (before, after)]
     W = aligning_rotation(*(poses[still, :, :3].reshape(-1, 3) for poses in (old, new)))

@@ -318,7 +318,8 @@ def _in_own_model(
 def _checked(location: Location, name: str, locator: Locator) -> Location:
     """The location if enough pictures of the model agree; otherwise "nowhere", with the reason and
     the most similar picture."""
-    matched, reason = location.database_images, location.reason
+    matched = location.database_images
+    reason = location.reason
     if location.success:
         agreeing = sum(image.agrees for image in matched)
         usable = len(locator.model.poses) - len(locator.bad)

@@ -15,7 +15,8 @@ _SIDE = 400.0  # longer side of the frames that are compared, pixels
 _MOVED = 1e-3  # share of the longer side: about 0.05 degrees, from which a camera has moved
 _INLIER = 1.0  # largest error of a match, pixels of the compared frames
 _STAYS = 0.15  # share of the matches that stay against a motion: it is an object's
-_AGREE, _LEAST = 0.5, 20  # least share and number of matches that agree with a motion
+_AGREE = 0.5  # least share of matches that agree with a motion
+_LEAST = 20  # least number
 
 
 def steady_frames(frames: Mapping[Path, Image]) -> tuple[dict[Path, Image], str]:

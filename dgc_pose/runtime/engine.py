@@ -10,8 +10,12 @@ from dgc_pose.geometry.pixels import Size
 from dgc_pose.network.config import DEFAULT_WEIGHTS, NetworkConfig
 
 GRAPHS = Path(__file__).parent / "graphs" / DEFAULT_WEIGHTS  # of the one preset that has them
-LEVELS, NATIVE = "levels.onnx", "native.onnx"  # the whole pyramid, and its coarser levels
-WARP, UPSAMPLE, RESAMPLE = "warp.onnx", "upsample.onnx", "resample.onnx"  # without weights
+LEVELS = "levels.onnx"  # the whole pyramid
+NATIVE = "native.onnx"  # its coarser levels
+# Graphs without weights
+WARP = "warp.onnx"
+UPSAMPLE = "upsample.onnx"
+RESAMPLE = "resample.onnx"
 # JSON beside the graphs: "stored" has the shape of each stored weight by name; "graphs" has, for
 # each graph, the names of the weights that it takes, with batch norms folded.
 WEIGHTS = "weights.json"

@@ -84,14 +84,17 @@ class OnnxEngine:
     def decode(
         self, source: MapFeatures, target: MapFeatures, finest: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        last, begun = LEVEL_SIZES.index(finest), self._begun
+        last = LEVEL_SIZES.index(finest)
+        begun = self._begun
         if begun and begun[0] is source and begun[1] is target and begun[2] >= last:
             above, state = begun[2:]
         else:
-            above, state = COARSEST + 1, self._start(source, target)
+            above = COARSEST + 1
+            state = self._start(source, target)
         for level in range(above - 1, last - 1, -1):
             previous = state if level == COARSEST else self._session(graphs.UPSAMPLE)(state)[0]
-            features1, features2 = source.levels[level], target.levels[level]
+            features1 = source.levels[level]
+            features2 = target.levels[level]
             (warped,) = self._session(graphs.WARP)(features1, previous)
             radius = self.config.decoders[level].local_radius
             assert radius is not None  # in a preset that has graphs
@@ -108,7 +111,8 @@ class OnnxEngine:
 
     def _start(self, source: MapFeatures, target: MapFeatures) -> np.ndarray:
         """The coarsest level's map and mask logit (1, 3, h, w), from the correlation's peak."""
-        scales1, scales2 = self._scales(source), self._scales(target)
+        scales1 = self._scales(source)
+        scales2 = self._scales(target)
         evidence = pooled_evidence(scales1, scales2, self.correlation_scales)
         grid1, grid2 = (features.levels[COARSEST].shape[2:] for features in (source, target))
         cells, probability = peaks(consensus(match_scores(evidence), PASSES, grid1, grid2), grid1)

@@ -28,7 +28,8 @@ class TorchEngine:
         weights = ((key, value.cpu().numpy()) for key, value in net.state_dict().items())
         self.fingerprint = fingerprint(weights)
         self.net = for_inference(net)
-        self.config, self._device = net.config, next(self.net.parameters()).device
+        self.config = net.config
+        self._device = next(self.net.parameters()).device
         self.correlation_scales = net.get_buffer("correlation_scales").float().cpu().numpy()
 
     @torch.inference_mode()

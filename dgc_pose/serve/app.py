@@ -88,12 +88,14 @@ class Server:
         options: ServeOptions,
     ) -> None:
         self.options = options
-        self._token, self._estimator = token, estimator
+        self._token = token
+        self._estimator = estimator
         self._folder = folder
         # By identifier, which is never part of a path; the most recently used image is last.
         self._images: dict[str, StoredImage] = {}
         # Two threads, so that photographs do not wait for poses.
-        self._decoding, self._estimating = ThreadPoolExecutor(1), ThreadPoolExecutor(1)
+        self._decoding = ThreadPoolExecutor(1)
+        self._estimating = ThreadPoolExecutor(1)
         self.app = Starlette(
             routes=[
                 Route("/", self._page),

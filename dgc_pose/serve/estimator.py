@@ -85,7 +85,9 @@ def _matches(result: PairResult) -> dict[str, list[Any]]:
     """At most `SHOWN_MATCHES` matches: points to 0.01 pixels, whether they are inliers, confidence,
     and residual in pixels or null. Inliers come before outliers, each in random order, so that the
     first few spread over the images."""
-    matches, pose, residuals = result.matches, result.pose, result.residuals_px
+    matches = result.matches
+    pose = result.pose
+    residuals = result.residuals_px
     points = np.hstack([matches.points1, matches.points2])
     chosen = np.flatnonzero(np.isfinite(points).all(1))
     chosen = np.random.default_rng(0).permutation(chosen)

@@ -31,7 +31,9 @@ class Guard:
 
     def __init__(self, app: ASGIApp, *, token: str, hosts: frozenset[str]) -> None:
         """hosts: the accepted values of the header Host, such as 127.0.0.1:8000."""
-        self._app, self._token, self._hosts = app, token, hosts
+        self._app = app
+        self._token = token
+        self._hosts = hosts
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":  # the server's start; a web socket, which has no route
@@ -47,7 +49,8 @@ class Guard:
         await app(scope, receive, send_with_headers)
 
     def _refusal(self, request: Request) -> str | None:
-        headers, path = request.headers, request.scope["path"]
+        headers = request.headers
+        path = request.scope["path"]
         if headers.get("host", "").lower() not in self._hosts:
             return "this server answers to its own name only"
         foreign = headers.get("sec-fetch-site", "none") not in ("none", "same-origin")

@@ -76,7 +76,9 @@ def check_options(options: Any) -> None:
     """
     cls: Any = type(options)
     for of in fields(options):
-        name, info, value = ArgumentName(of.name), option_info(of), getattr(options, of.name)
+        name = ArgumentName(of.name)
+        info = option_info(of)
+        value = getattr(options, of.name)
         kind, optional = field_types(cls)[name]
         if value is None and (optional or of.default is None):
             continue
@@ -109,7 +111,8 @@ def check_type(value: Any, kind: Any, name: str) -> None:
         if not isinstance(value, tuple) or inner[-1] is not Ellipsis and len(inner) != len(value):
             words = "a tuple" if inner[-1] is Ellipsis else f"a tuple of {len(inner)}"
             raise InputError(ArgumentName(name), f"must be {words}, not {value!r}")
-        kinds, parts = inner[:1], value
+        kinds = inner[:1]
+        parts = value
     if not all(isinstance(kind, type) for kind in kinds):
         return
     allowed = tuple(_NUMBERS.get(kind, kind) for kind in kinds)

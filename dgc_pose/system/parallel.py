@@ -69,12 +69,14 @@ def in_threads(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Re
     Raises the error of the first item that fails. An exception of an interrupt or a signal handler
     in the main thread is raised at once: what has begun is discarded, the rest is not begun.
     """
-    count, current = min(cv2.getNumThreads(), len(items)), threading.current_thread()
+    count = min(cv2.getNumThreads(), len(items))
+    current = threading.current_thread()
     if isinstance(current, _Helper) or (count <= 1 and current is not threading.main_thread()):
         return [work(item) for item in items]  # only the main thread handles signals
     results: dict[int, Result] = {}
     errors: dict[int, BaseException] = {}
-    waiting, stopped = iter(range(len(items))), threading.Event()
+    waiting = iter(range(len(items)))
+    stopped = threading.Event()
 
     def run() -> None:
         for number in waiting:  # shared by the threads

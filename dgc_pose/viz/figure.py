@@ -126,10 +126,15 @@ def draw_matches(
 def second_place(pixels1: np.ndarray, pixels2: np.ndarray) -> tuple[float, ...]:
     """The place of image 2 in `draw_matches`: its left, upper, right and lower edge in pixels of
     image 1, and its scale. The right and lower edge are the size of the whole drawing."""
-    (height1, width1), (height2, width2) = pixels1.shape[:2], pixels2.shape[:2]
-    scale, left, top = height1 / height2, (1 + _GAP) * width1, 0.0
+    height1, width1 = pixels1.shape[:2]
+    height2, width2 = pixels2.shape[:2]
+    scale = height1 / height2
+    left = (1 + _GAP) * width1
+    top = 0.0
     if width1 / height1 + width2 / height2 > _WIDE:
-        scale, left, top = width1 / width2, 0.0, height1 + _GAP * width1
+        scale = width1 / width2
+        left = 0.0
+        top = height1 + _GAP * width1
     return left, top, left + scale * width2, top + scale * height2, scale
 
 

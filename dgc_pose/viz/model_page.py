@@ -27,10 +27,14 @@ _PARTS = ("page.css", "canvas.js", "scene.js")  # files of `serve`, which is not
 _SIDES = 160, 960  # of a photograph's copy: range of the longest side, pixels
 _PIXELS = 16_000_000  # of all copies together, squares of their longest sides: some 5 MB
 _QUALITY = 80  # of a copy's JPEG
-_MOST, _MOST_OF_PAIR = 20_000, 3000  # points; more would slow a page down
+# Points; more would slow a page down
+_MOST = 20_000
+_MOST_OF_PAIR = 3000
 _NEAR = 0.97  # quantile of the points' distances; farther points would shrink all others
 _DEPTHS = 0.1, 0.18  # range of the depth of a camera's pyramid over the points' median distance
-_FIXED, _WALK = 1.2, 0.4  # factors of the depths of a rig's pyramids
+# Factors of the depths of a rig's pyramids
+_FIXED = 1.2
+_WALK = 0.4
 
 
 def model_page(
@@ -53,7 +57,8 @@ def model_page(
     side = _side(len(names) - len(fixed))
 
     def shown(name: str) -> tuple[np.ndarray, str]:
-        pose, camera = model.poses[name], model.cameras[name]
+        pose = model.poses[name]
+        camera = model.cameras[name]
         image = load_image(model.root / name)
         turned = np.column_stack([pose[:, :3] @ axes.T, pose[:, 3]])
         copy = _copy(image, _SIDES[1] if name in fixed else side)
@@ -200,5 +205,6 @@ def scene_of(
     depths = np.broadcast_to(depth * sizes, len(frusta))
     corners = (centres + depths[:, None, None] * (frusta - centres)).round(digits).tolist()
     cameras = [{"label": label, "corners": c} for label, c in zip(labels, corners, strict=True)]
-    xyz, rgb = points[chosen].round(digits).tolist(), colours[chosen].tolist()
+    xyz = points[chosen].round(digits).tolist()
+    rgb = colours[chosen].tolist()
     return {"cameras": cameras, "points": {"xyz": xyz, "rgb": rgb}}

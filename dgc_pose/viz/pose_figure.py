@@ -38,7 +38,8 @@ DRAWN_LINES = 12
 _CURVE_POINTS = 500  # of an epipolar line through a lens
 _UPRIGHT = 2.0  # up to this sum of the images' width over height, a row has four panels, else two
 _TALLEST = 10.0  # largest height of a row, inches
-_LINE, _CHARACTER = 0.19, 0.078  # height of a line of text, mean width of a character, inches
+_LINE = 0.19  # height of a line of text, inches
+_CHARACTER = 0.078  # mean width of a character, inches
 _NAME = 28  # characters of a file's name
 _LOCATED_MATCHES = 100  # drawn for each database image
 _FAR = 0.02  # share of points cut off at each end of an axis, as they may be far away
@@ -52,11 +53,15 @@ def plot_pose(result: PairResult) -> Figure:
     is drawn. Without a pose, the confidence colours the matches, and there are no lines. Through a
     lens with distortion, an epipolar line is a curve.
     """
-    pose, dense = result.pose, result.correspondence_map
-    image1, image2 = result.image1, result.image2
+    pose = result.pose
+    dense = result.correspondence_map
+    image1 = result.image1
+    image2 = result.image2
     chosen = np.flatnonzero(pose.inliers) if pose.inliers.any() else np.arange(len(result.matches))
     shown = _spread(result, chosen, DRAWN_MATCHES)
-    matches, values, colours = result.matches.subset(shown), result.matches.confidence[shown], None
+    matches = result.matches.subset(shown)
+    values = result.matches.confidence[shown]
+    colours = None
     legend = "magenta to cyan: confidence 0 to 1"
     if pose.E is not None:
         values = result.residuals_px[shown]
@@ -167,7 +172,8 @@ def _spread(result: PairResult, chosen: np.ndarray, count: int) -> np.ndarray:
     matches = result.matches
     points = np.hstack([matches.points1, matches.points2])
     chosen = chosen[np.isfinite(points[chosen]).all(axis=1)]
-    points2, confidence = matches.points2[chosen], matches.confidence[chosen]
+    points2 = matches.points2[chosen]
+    confidence = matches.confidence[chosen]
     return chosen[spread(points2, confidence, result.image2.size, count)]
 
 
@@ -202,7 +208,8 @@ def plot_location(model: Model, query: str, location: Location) -> Figure:
 
 def _draw_place(panel: Axes, model: Model, location: Location) -> None:
     """Draw the cameras, as arrows along their axes, and points, in x and z of the mean camera."""
-    names, poses = [*model.poses], [*model.poses.values()]
+    names = [*model.poses]
+    poses = [*model.poses.values()]
     centres = [model.centre(name) for name in names]
     above = mean_axes(poses)[[0, 2]]  # to the right and ahead
     points = model.points @ above.T
@@ -216,12 +223,15 @@ def _draw_place(panel: Axes, model: Model, location: Location) -> None:
     )
     colours = ["gray"] * len(names)
     if location.cam_from_world is not None and location.centre is not None:
-        poses, centres = [*poses, location.cam_from_world], [*centres, location.centre]
+        poses = [*poses, location.cam_from_world]
+        centres = [*centres, location.centre]
         colours.append("tab:blue")
-        middle, radius = above @ location.centre, location.position_error_90 or 0
+        middle = above @ location.centre
+        radius = location.position_error_90 or 0
         panel.plot(*middle, "o", color="tab:blue", markersize=4, label="the query, and its error")
         panel.add_patch(Circle(middle, radius, color="tab:blue", alpha=0.3))
-    tails, ahead = np.stack(centres) @ above.T, np.stack(poses)[:, 2, :3] @ above.T
+    tails = np.stack(centres) @ above.T
+    ahead = np.stack(poses)[:, 2, :3] @ above.T
     panel.quiver(*tails.T, *ahead.T, color=colours, angles="xy", width=0.006, scale=15)
     panel.margins(0.1)
     panel.set_aspect("equal", adjustable="datalim")

@@ -33,7 +33,9 @@ if TYPE_CHECKING:
 
 _LINE = re.compile(r"\s*(?:\d+[\s,]+)?[A-Za-z][A-Za-z_]*[\s,]+\d")  # [id] MODEL width
 # The number of items in a cameras.bin or images.bin; a camera; an image.
-_COUNT, _CAMERA, _IMAGE = struct.Struct("<Q"), struct.Struct("<IiQQ"), struct.Struct("<I7dI")
+_COUNT = struct.Struct("<Q")
+_CAMERA = struct.Struct("<IiQQ")
+_IMAGE = struct.Struct("<I7dI")
 _POINT_BYTES = 24
 _ROUNDING = 0.01  # largest error of the length of a unit quaternion in a file
 # Views, triggers, virtual tables and generated columns are programs that may never end.
@@ -160,7 +162,8 @@ def _checked_lines(text: str, path: Path) -> str:
 
 def _with_quoted_names(text: str, *, with_points: bool) -> str:
     """An images.txt with its names percent-encoded, since pycolmap cuts names at blanks."""
-    rows, lines = [], iter(text.splitlines())
+    rows = []
+    lines = iter(text.splitlines())
     for line in lines:
         words = line.split(maxsplit=9)
         if len(words) == 10 and not line.startswith("#"):
@@ -174,7 +177,8 @@ def _with_quoted_names(text: str, *, with_points: bool) -> str:
 
 def _require_whole(data: bytes, item_bytes: Callable[[bytes, int], int]) -> None:
     """Raise ValueError or struct.error if a file has fewer items than its header states."""
-    (count,), start = _COUNT.unpack_from(data), _COUNT.size
+    (count,) = _COUNT.unpack_from(data)
+    start = _COUNT.size
     for _ in range(count):
         start += item_bytes(data, start)
         if start > len(data):

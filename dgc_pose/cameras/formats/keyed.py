@@ -77,7 +77,8 @@ def keyed_cameras(data: Mapping[str, Any]) -> Calibration:
         raise InputError(f"no K and no camera of OpenCV's, ROS's, Kalibr's or NeRF's among {keys}")
     present = [key for key in _CAMERAS_OF_A_PAIR if data.get(key)]
     if present:
-        parts, warnings = {}, _unread_warning(unread(data, *present))
+        parts = {}
+        warnings = _unread_warning(unread(data, *present))
         for key in present:
             camera = keyed_camera(data[key])
             camera = replace(camera, warnings=(*camera.warnings, *warnings))
@@ -87,7 +88,8 @@ def keyed_cameras(data: Mapping[str, Any]) -> Calibration:
         raise InputError("has no cameras; dgc-pose writes none if a pair has no pose")
     data = dict(data)
     frames = enumerate(data.pop("perFrameIntrinsicCoeffs", ()))  # Record3D: 0.jpg, 1.jpg, ...
-    common, parts = keyed_camera(data), {}
+    common = keyed_camera(data)
+    parts = {}
     by_name = {str(n): replace(common, K=numbers_camera(values).K) for n, values in frames}
     with suppress(InputError):  # not four coefficients
         parts["fisheye"] = keyed_camera({**data, "fisheye_model": 1})
@@ -144,7 +146,8 @@ def read_table(text: str, path: Path) -> Calibration:
     Raises InputError, with the path and line, also if a name has two cameras.
     """
     by_name: dict[str, dict[str, str]] = {}
-    cameras, poses = {}, {}
+    cameras = {}
+    poses = {}
     for number, row in enumerate(csv.DictReader(text.splitlines()), start=2):
         try:
             if any(row.pop(None, ())):
@@ -181,7 +184,8 @@ def unread(data: Mapping[str, Any], *read: str | None) -> list[str]:
     for key, value in data.items():
         if key in read:
             continue
-        held, name = numbers(value), str(key).strip()
+        held = numbers(value)
+        name = str(key).strip()
         is_of_lens = _LENS_KEYS.fullmatch(name)
         if is_of_lens or _OTHER_CAMERA_KEYS.fullmatch(name):
             nothing = (0, 1) if name.startswith("binning") else (0,)

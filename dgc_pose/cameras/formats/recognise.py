@@ -120,7 +120,8 @@ def _nerf_cameras(data: Mapping[str, Any], where: str) -> Calibration:
     common = _nerf_camera(shared)
     if common is not None:
         common = replace(common, identity=where)
-    by_name, poses = {}, {}
+    by_name = {}
+    poses = {}
     for frame in data.get("frames", ()):
         name = str(frame["file_path"])
         if "transform_matrix" in frame:  # world_from_cam, axes right, up, backwards
@@ -144,7 +145,8 @@ def _facts(camera: Camera) -> tuple[Any, ...]:
 
 
 def _nerf_camera(data: Mapping[str, Any]) -> Camera | None:
-    width, height = data.get("w"), data.get("h")
+    width = data.get("w")
+    height = data.get("h")
     size = None if width is None or height is None else (int(width), int(height))
     fx, fy = (_focal(data, axis, size and size[side]) for side, axis in enumerate("xy"))
     fx, fy = fx or fy, fy or fx

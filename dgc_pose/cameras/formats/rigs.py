@@ -54,7 +54,8 @@ def colmap_rig(rigs: Sequence[Any], path: Path) -> Calibration | None:
         return None
     tables = {}
     for camera in (camera for rig in rigs for camera in rig["cameras"]):
-        prefix, first = PurePath(str(camera["image_prefix"])), camera.get("ref_sensor")
+        prefix = PurePath(str(camera["image_prefix"]))
+        first = camera.get("ref_sensor")
         table: dict[str, Any] = {"name": prefix.name}
         if len(rigs) == 1:
             table["rotation"] = [1, 0, 0, 0] if first else camera.get("cam_from_rig_rotation")
@@ -79,7 +80,8 @@ def calibration(tables: Mapping[str, Mapping[str, Any]], path: Path) -> Calibrat
         if held is not None and np.isnan(held).all():
             continue
         try:
-            camera, pose = keyed_camera(tables[key], "matrix"), _pose(tables[key])
+            camera = keyed_camera(tables[key], "matrix")
+            pose = _pose(tables[key])
         except (InputError, TypeError, ValueError, OverflowError) as error:
             raise InputError(f"{name}: {reason(error)}") from None
         if name in parts:
@@ -95,7 +97,8 @@ def calibration(tables: Mapping[str, Mapping[str, Any]], path: Path) -> Calibrat
     kinds = {(camera.K.tobytes(), camera.distortion) for camera in parts.values()}
     is_one = len(kinds) == 1 and len(parts) == len(tables)
     is_one &= not _STEREO.fullmatch(name)  # a single M1 is only for image 1
-    common, rig = next(iter(parts.values())) if is_one else None, (*names.values(),)
+    common = next(iter(parts.values())) if is_one else None
+    rig = (*names.values(),)
     return Calibration("", by_name, parts, common, poses=poses, rig=rig)
 
 
@@ -122,7 +125,8 @@ def _kalibr(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         if isinstance(values, Mapping) and numbers(values.get("intrinsics"))
     }
     for table in tables.values():
-        table["matrix"], table["size"] = table.pop("intrinsics"), table.pop("resolution", None)
+        table["matrix"] = table.pop("intrinsics")
+        table["size"] = table.pop("resolution", None)
     if not tables or "intrinsics" in data:
         return tables
     others = dict.fromkeys(unread(data, *tables), "unread")
@@ -146,7 +150,8 @@ def _tables(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 
 def _grouped(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """The cameras by name, from keys that end with the name; other keys apply to each camera."""
-    keys, shared = _EASYMOCAP if "names" in data else _STEREO, {}
+    keys = _EASYMOCAP if "names" in data else _STEREO
+    shared = {}
     groups: dict[str, dict[str, Any]] = {}
     for key, value in data.items():
         if match := keys.fullmatch(str(key)):
@@ -235,7 +240,9 @@ def _colmap_text(cameras: Mapping[str, Camera], poses: np.ndarray) -> str:
 
 
 def _stereo_text(tables: Sequence[Mapping[str, Any]], pose: np.ndarray) -> str:
-    (K1, K2), R, T = (np.array(table["matrix"]) for table in tables), pose[:, :3], pose[:, 3:]
+    K1, K2 = (np.array(table["matrix"]) for table in tables)
+    R = pose[:, :3]
+    T = pose[:, 3:]
     D1, D2 = (np.array([table["distortions"]]) for table in tables)
     F = fundamental_from_essential(E := essential_from_pose(R, T[:, 0]), K1, K2)
     values: dict[str, Any] = {"M1": K1, "D1": D1, "M2": K2, "D2": D2}
