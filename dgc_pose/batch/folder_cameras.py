@@ -23,10 +23,19 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.prior import OTHER_STD, SHARED
 from dgc_pose.estimation.camera_model import ModelName, model_named, with_model
 from dgc_pose.estimation.intrinsics_prior import SIZE, may_be_crop, parameter_stds, with_parameters
-from dgc_pose.estimation.least_squares import EFFICIENT
+from dgc_pose.estimation.least_squares import (
+    CORRELATED,
+    EFFICIENT,
+    Slopes,
+    cauchy_losses,
+    cauchy_slopes,
+    cauchy_weights,
+    minimised,
+)
 
 _STARTS = 101
 _STEPS = 50
+_CONVERGED = 1e-12  # relative change of the loss that ends them
 _MAX_STD_SHARE = 0.9  # of the prior's deviation of ln f: pairs with a wider fit are skipped
 _FAR_CENTRE_STDS = 1.5  # deviations: a principal point that moved further is far from its prior
 _MIN_VARIANCE = 1e-9  # as a share of the prior's: keeps the information finite
@@ -116,9 +125,9 @@ def _by_models(cameras: Cameras, rows: Sequence[PairRow]) -> Cameras:
             weights[name][row.camera_model] += 1.0 if known is None else known
     changed = dict(cameras)
     for name, names in groups.items():
-        of_group = weights[names[0]]
-        for model, weight in of_group.items():
-            is_most = weight > sum(of_group.values()) / 2
+        own = weights[names[0]]
+        for model, weight in own.items():
+            is_most = weight > sum(own.values()) / 2
             if is_most and not model_named(model).contradicts_K:
                 changed[name] = with_model(cameras[name], model)
     return changed
@@ -207,12 +216,12 @@ def pool(
         between = first != second and max(len(first), len(second)) > 1
         known = pose.one_place_probability
         blocks = pose.camera_covariance[:SIZE, :SIZE], pose.camera_covariance[SIZE:, SIZE:]
-        of_row = {}  # a single entry if one camera took both images
+        by_camera = {}  # a single entry if one camera took both images
         for name, camera, block in zip(row.names, fitted, blocks, strict=True):
             if name in shared and not (between and name in inside):
                 value = _parameters(camera) - _parameters(cameras[name])
-                of_row[shared[name]] = value, block, 1.0 if known is None else known
-        for names, fit in of_row.items():
+                by_camera[shared[name]] = value, block, 1.0 if known is None else known
+        for names, fit in by_camera.items():
             fits[names].append(fit)
     pooled = []
     for names in dict.fromkeys(shared.values()):
@@ -235,11 +244,14 @@ def pool(
         std = np.zeros(SIZE)
         std[open_] = prior[open_]
         if useful:
-            values, covariances, weights = (np.array(of) for of in zip(*useful, strict=True))
-            of_fit = pooled_fit(values, covariances, weights, prior[open_], len(names))
-            value[open_], std[open_] = of_fit
-        of_names = {name: _pooled(cameras[name], value, std, bool(useful)) for name in names}
-        pooled.append(PooledCamera(of_names, len(useful)))
+            values, covariances, weights = map(np.array, zip(*useful, strict=True))
+            fitted_value, fitted_std = pooled_fit(
+                values, covariances, weights, prior[open_], len(names)
+            )
+            value[open_] = fitted_value
+            std[open_] = fitted_std
+        members = {name: _pooled(cameras[name], value, std, bool(useful)) for name in names}
+        pooled.append(PooledCamera(members, len(useful)))
     return pooled
 
 
@@ -263,41 +275,61 @@ def pooled_fit(
     that share an image have correlated errors: they count as at most images / 2 pairs. Fits that
     scatter more than their covariances widen the result.
     """
-    count = len(prior)
     order = np.lexsort(values.T[::-1])  # the same sums for any order
     # In units of the prior's deviations: its information is then 1 along each axis.
-    weight = weight[order]
-    values = values[order] / prior
-    variances, axes = np.linalg.eigh(covariances[order] / np.outer(prior, prior))
-    information = 1 / np.maximum(variances, _MIN_VARIANCE)
-    of_matches = np.maximum(information - 1, 0)  # along the axes, without the prior
-    along = np.einsum("nij,ni->nj", axes, values) * information * (of_matches > 0)
-    matrices = (axes * of_matches[:, None]) @ axes.transpose(0, 2, 1)
-    vectors = np.einsum("nij,nj->ni", axes, along)
-    means = np.einsum("nij,nj->ni", axes, along / np.maximum(of_matches, 1e-9))
-
-    def distances(middle: np.ndarray) -> np.ndarray:
-        """Squared distance of each fit, over the number of parameters."""
-        offset = means - middle
-        return np.einsum("ni,nij,nj->n", offset, matrices, offset).clip(min=0) / count
-
-    def cost(middle: np.ndarray) -> float:
-        return float((weight * np.log1p(distances(middle) / EFFICIENT**2)).sum())
-
+    scaled = values[order] / prior
+    fits = _PairFits(scaled, covariances[order] / np.outer(prior, prior), weight[order])
     # Start at the fit that most pairs agree with: a few very precise fits may be wrong.
-    middle = min(values[:: 1 + len(values) // _STARTS], key=cost)
-    for _ in range(_STEPS):
-        distance = distances(middle)
-        robust = weight / (1 + distance / EFFICIENT**2)
-        total = (robust[:, None, None] * matrices).sum(0)
-        before = middle
-        middle = np.linalg.solve(total + np.eye(count), (robust[:, None] * vectors).sum(0))
-        if np.abs(middle - before).max() < 1e-9:
-            break
-    scatter = max(1.0, float((robust * distance).sum() / robust.sum()))
+    start = min(scaled[:: 1 + len(values) // _STARTS], key=fits.cost)
+    middle = minimised(fits, start, _STEPS, converged=_CONVERGED)
     alike = min(max(1.0, 2 * len(values) / images), len(values))
-    covariance = np.linalg.inv(total / (scatter * alike) + np.eye(count))
+    information = fits.slopes(middle).hessian / (fits.scatter(middle) * alike)
+    covariance = np.linalg.inv(information + np.eye(len(prior)))
     return middle * prior, np.sqrt(np.diag(covariance)) * prior
+
+
+class _PairFits:
+    """Least squares of the parameters (D,) of a camera on the fits of N pairs, in deviations of the
+    prior. values, covariances, weights: (N, D), (N, D, D) and (N,), see `pooled_fit`."""
+
+    def __init__(self, values: np.ndarray, covariances: np.ndarray, weights: np.ndarray) -> None:
+        variances, axes = np.linalg.eigh(covariances)
+        information = 1 / np.maximum(variances, _MIN_VARIANCE)
+        by_matches = np.maximum(information - 1, 0)  # along the axes, without the prior
+        along = np.einsum("nij,ni->nj", axes, values) * information * (by_matches > 0)
+        self._means = np.einsum("nij,nj->ni", axes, along / np.maximum(by_matches, 1e-9))
+        count = values.shape[1]
+        self._rows = np.sqrt(by_matches / count)[:, :, None] * axes.transpose(0, 2, 1)
+        self._weights = weights
+        self._counts = CORRELATED * count * weights
+
+    def _errors(self, middle: np.ndarray) -> np.ndarray:
+        """(N, D), whose squares are those of the distances over the number of parameters."""
+        errors: np.ndarray = np.einsum("nij,nj->ni", self._rows, middle - self._means)
+        return errors
+
+    def cost(self, middle: np.ndarray) -> float:
+        """The loss of the fits, up to a factor."""
+        distances = np.linalg.norm(self._errors(middle), axis=1)
+        return float(self._weights @ cauchy_losses(distances, EFFICIENT))
+
+    def scatter(self, middle: np.ndarray) -> float:
+        """The mean square of the errors over their variance; at least 1."""
+        squared = np.square(self._errors(middle)).sum(1)
+        weights = self._weights * cauchy_weights(np.sqrt(squared), EFFICIENT)
+        return max(1.0, float(np.average(squared, weights=weights)))
+
+    def slopes(self, middle: np.ndarray) -> Slopes:
+        """The loss of the fits by the parameters, without the prior."""
+        return cauchy_slopes(self._errors(middle), self._rows, EFFICIENT, self._counts)
+
+    def linearised(self, middle: np.ndarray) -> Slopes:
+        """The loss of the fits and the prior."""
+        return self.slopes(middle).with_prior(middle)
+
+    def moved(self, middle: np.ndarray, step: np.ndarray) -> np.ndarray:
+        """The parameters after a step."""
+        return middle + step
 
 
 def _pooled(camera: Camera, value: np.ndarray, std: np.ndarray, fitted: bool) -> Camera:

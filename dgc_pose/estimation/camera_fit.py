@@ -29,11 +29,11 @@ from dgc_pose.estimation.intrinsics_prior import (
     renormalised_pair,
 )
 from dgc_pose.estimation.least_squares import (
-    CORRELATED,
-    EFFICIENT,
-    cauchy_losses,
-    levenberg_marquardt,
+    Slopes,
+    cauchy_slopes,
     loss_width,
+    match_variance,
+    minimised,
 )
 from dgc_pose.estimation.problem import Hypothesis, TwoViewProblem
 from dgc_pose.estimation.robust_fit import (
@@ -88,6 +88,7 @@ class JointFit:
     """Least squares of pose and cameras for one problem whose cameras are not exact."""
 
     problem: TwoViewProblem
+    width: float = math.inf  # of the losses, in the problem's unit; of inliers that are fitted
 
     @cached_property
     def prior(self) -> IntrinsicsPrior:
@@ -103,7 +104,7 @@ class JointFit:
         threshold as the width of the loss, and the squares of the parameters."""
         squares = np.minimum((self._errors(pose) / self.problem.threshold) ** 2, 1.0)
         squares[~self._in_front(pose)] = 1.0
-        return float(EFFICIENT**2 * squares.sum() / CORRELATED + pose.z @ pose.z) / 2
+        return float(squares.sum() / match_variance(1.0) + pose.z @ pose.z) / 2
 
     def fitted(
         self, pose: JointPose, limits: Sequence[float] = LIMITS, iterations: int = _ITERATIONS
@@ -125,43 +126,28 @@ class JointFit:
             if chosen.sum() <= MINIMAL + len(self.prior):
                 return pose
             width = loss_width(error[chosen], threshold)
-            part = JointFit(self.problem.subset(chosen))
-            pose = part._minimised(pose, width, iterations)
+            pose = minimised(JointFit(self.problem.subset(chosen), width), pose, iterations)
         return pose
 
-    def _minimised(self, pose: JointPose, width: float, iterations: int) -> JointPose:
-        """The fit to all matches, with weights from the loss (iteratively reweighted)."""
+    def linearised(self, pose: JointPose) -> Slopes:
+        """The losses of all matches and the prior, by the pose and the parameters (5 + M,)."""
+        return self._slopes(pose, self.width, self.prior).with_prior(pose.z)
 
-        def linearised(pose: JointPose) -> tuple[float, np.ndarray, np.ndarray]:
-            error, hessian, gradient = self._slopes(pose, width, self.prior)
-            gradient[5:] += pose.z
-            cost = float(cauchy_losses(error, width).sum() + pose.z @ pose.z / 2)
-            return cost, hessian + self.prior.information, gradient
+    def moved(self, pose: JointPose, step: np.ndarray) -> JointPose:
+        """The pose after a step (5 + M,), which is shortened if a focal length changes too much."""
+        change = np.abs((self.prior.basis @ step[5:])[FOCALS]).max(initial=0)
+        return pose.moved(step * min(1.0, _LARGEST_STEP / max(change, 1e-12)))
 
-        def moved(pose: JointPose, step: np.ndarray) -> JointPose:
-            change = np.abs((self.prior.basis @ step[5:])[FOCALS]).max(initial=0)
-            return pose.moved(step * min(1.0, _LARGEST_STEP / max(change, 1e-12)))
-
-        return levenberg_marquardt(pose, linearised, moved, iterations)
-
-    def slopes(
-        self, pose: JointPose, width: float, prior: IntrinsicsPrior
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """The information (5 + M, 5 + M) and the gradient (5 + M,) of the losses by the pose and a
-        prior's parameters, without errors above `MOST_ERROR`. width: of the losses, in the
-        problem's unit."""
+    def slopes(self, pose: JointPose, width: float, prior: IntrinsicsPrior) -> Slopes:
+        """The losses by the pose and a prior's parameters (5 + M,), without the prior itself and
+        without errors above `MOST_ERROR`. width: of the losses, in the problem's unit."""
         counted = self._errors(pose) < MOST_ERROR * self.problem.threshold
         part = JointFit(self.problem.subset(counted))
-        return part._slopes(pose, width, prior)[1:]
+        return part._slopes(pose, width, prior)
 
-    def _slopes(
-        self, pose: JointPose, width: float, prior: IntrinsicsPrior
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _slopes(self, pose: JointPose, width: float, prior: IntrinsicsPrior) -> Slopes:
         error, slopes, _ = error_slopes(self.problem, pose.R, pose.t, prior, self.parameters(pose))
-        inverse_variance = (EFFICIENT / width) ** 2 / CORRELATED
-        weighted = slopes * (inverse_variance / (1 + (error / width) ** 2))[:, None]
-        known = np.where(np.isfinite(error), error, 0.0)  # the slopes of the others are 0
-        return error, weighted.T @ slopes, weighted.T @ known
+        return cauchy_slopes(error, slopes, width)
 
     def _errors(self, pose: JointPose) -> np.ndarray:
         """Sampson errors (N,), in the problem's unit; infinite if a distortion is not undone."""

@@ -6,8 +6,10 @@ independent and is several times too small. The jackknife leaves out one block o
 other (delete-a-group, Kott 2001), so that correlated errors are left out together.
 """
 
-from collections.abc import Callable
-from typing import TypeVar
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -23,7 +25,8 @@ _SHIFTS = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5))  # of the blocks, in 
 # may have nearly all of it (docs/experiments.md); and otherwise, to keep the rest regular.
 KEPT = 0.1
 REGULAR = 1e-9
-_CONVERGED = 1e-5  # relative change of the cost
+_CONVERGED = 1e-5
+_DAMPING = 1e-4  # of the first step
 _LEAST_DAMPING = 1e-9
 _MOST_DAMPING = 1e6
 _MIN_WIDTH = 0.02  # of the threshold: matches count as no more accurate than this
@@ -46,6 +49,17 @@ def cauchy_losses(error: np.ndarray, width: float) -> np.ndarray:
     return losses
 
 
+def match_variance(width: float) -> float:
+    """The variance that an accurate match has against a prior, for a Cauchy loss of this width."""
+    return CORRELATED * (width / EFFICIENT) ** 2
+
+
+def cauchy_weights(error: np.ndarray, width: float) -> np.ndarray:
+    """The weights (N,) with which the squares of errors have the slopes of their Cauchy losses."""
+    weights: np.ndarray = 1 / (match_variance(width) * (1 + (error / width) ** 2))
+    return weights
+
+
 def cauchy_curvature(error: np.ndarray, width: float | np.ndarray) -> np.ndarray:
     """The second derivatives (N,) of the Cauchy losses of errors, over that of error 0. Beyond the
     inflection they are negative and count as 0: a match must not be negative evidence."""
@@ -63,37 +77,98 @@ def loss_terms(error: np.ndarray, slopes: np.ndarray, width: float) -> np.ndarra
     return np.column_stack([information.reshape(len(error), -1), gradients])
 
 
-def levenberg_marquardt(
-    start: Fit,
-    linearised: Callable[[Fit], tuple[float, np.ndarray, np.ndarray]],
-    moved: Callable[[Fit, np.ndarray], Fit],
-    iterations: int,
-) -> Fit:
-    """The fit of least cost (Marquardt 1963).
+class Slopes(NamedTuple):
+    """The cost of a fit, and its derivatives by the P parameters of a step."""
 
-    linearised: the cost of a fit, its Hessian (P, P) and its gradient (P,). moved: the fit after a
-    step (P,).
+    cost: float
+    hessian: np.ndarray  # (P, P)
+    gradient: np.ndarray  # (P,)
+
+    def with_prior(self, values: np.ndarray, information: float | np.ndarray = 1.0) -> Slopes:
+        """With the prior of the last parameters: how far these are from what is expected, (M,), is
+        normally distributed with this information, by default with standard deviation 1."""
+        weighted = information * values
+        gradient = self.gradient.copy()
+        gradient[len(gradient) - len(values) :] += weighted
+        prior = prior_information(len(gradient), information * np.ones(len(values)))
+        return Slopes(self.cost + float(values @ weighted) / 2, self.hessian + prior, gradient)
+
+    def step(self, damping: float) -> np.ndarray:
+        """The step (P,) to the least cost, shortened by a damping. Raises LinAlgError."""
+        damped = self.hessian + damping * np.diag(np.diag(self.hessian))
+        step: np.ndarray = np.linalg.solve(damped, -self.gradient)
+        return step
+
+
+def prior_information(count: int, last: np.ndarray) -> np.ndarray:
+    """The information (P, P) of a prior of the last of `count` parameters, theirs being (M,)."""
+    return np.diag([*np.zeros(count - len(last)), *last])
+
+
+def cauchy_slopes(
+    error: np.ndarray,
+    slopes: np.ndarray,
+    width: float,
+    counts: float | np.ndarray = 1.0,
+) -> Slopes:
+    """The sum of the Cauchy losses of errors (N,), or of the lengths of errors (N, K), with their
+    derivatives (N, P) or (N, K, P); the Hessian is that of reweighted squares. counts: factors (N,)
+    of the losses."""
+    length = np.sqrt(np.square(error).sum(1)) if error.ndim > 1 else error
+    cost = float((counts * cauchy_losses(length, width)).sum())
+    number = slopes.shape[-1]
+    if not math.isfinite(cost):  # a step that is refused
+        return Slopes(cost, np.eye(number), np.zeros(number))
+    weights = counts * cauchy_weights(length, width)
+    weighted = (slopes.T * weights).T.reshape(-1, number).T
+    return Slopes(cost, weighted @ slopes.reshape(-1, number), weighted @ error.ravel())
+
+
+class Problem(Protocol[Fit]):
+    """Least squares: what is minimised, and how a fit changes by a step of its P parameters."""
+
+    def linearised(self, fit: Fit) -> Slopes:
+        """The cost of a fit and its derivatives."""
+
+    def moved(self, fit: Fit, step: np.ndarray) -> Fit:
+        """The fit after a step (P,)."""
+
+
+def minimised(
+    problem: Problem[Fit],
+    start: Fit,
+    iterations: int,
+    *,
+    descends: bool = True,
+    converged: float = _CONVERGED,
+) -> Fit:
+    """The fit of least cost near a start (Marquardt 1963).
+
+    iterations: the most steps. descends: whether a step must lower the cost; not where each fit
+    has errors of its own, so that the costs of two do not compare. converged: the gain, relative to
+    the cost, of which a step must promise more for another to follow.
     """
     fit = start
-    damping = 1e-4
-    cost, hessian, gradient = linearised(fit)
+    slopes = problem.linearised(fit)
+    damping = _DAMPING if descends else _LEAST_DAMPING
     for _ in range(iterations):
-        before = cost
-        while damping < _MOST_DAMPING:
-            damped = hessian + damping * np.diag(np.diag(hessian))
-            try:
-                candidate = moved(fit, np.linalg.solve(damped, -gradient))
-            except np.linalg.LinAlgError:  # a parameter that the errors do not depend on
-                return fit
-            found = linearised(candidate)
-            if found[0] < before:
-                fit = candidate
-                cost, hessian, gradient = found
-                damping = max(damping / 10, _LEAST_DAMPING)
-                break
-            damping *= 10
-        if before - cost <= _CONVERGED * (1 + before):
+        try:
+            step = slopes.step(damping)
+            candidate = problem.moved(fit, step)
+            if -slopes.gradient @ step / 2 <= converged * (1 + slopes.cost):
+                return candidate
+            found = problem.linearised(candidate)
+            while descends and not found.cost < slopes.cost:
+                damping *= 10
+                if damping >= _MOST_DAMPING:
+                    return fit
+                candidate = problem.moved(fit, slopes.step(damping))
+                found = problem.linearised(candidate)
+        except np.linalg.LinAlgError:  # a parameter that the errors do not depend on
             break
+        fit = candidate
+        slopes = found
+        damping = max(damping / 10, _LEAST_DAMPING)
     return fit
 
 

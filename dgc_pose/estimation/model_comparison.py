@@ -162,14 +162,14 @@ class _Sample:
         loss = self.weight * float(
             cauchy_losses(_errors(joint, pose, self.pixels), self.width).sum()
         )
-        hessian, gradient = joint.slopes(pose, self._width_of(joint), _ALL)
+        slopes = joint.slopes(pose, self._width_of(joint), _ALL)
         return Quadratic(
             joint.problem.cameras,
             pose,
             joint.parameters(pose),
             loss,
-            self.weight * hessian,
-            self.weight * gradient,
+            self.weight * slopes.hessian,
+            self.weight * slopes.gradient,
         )
 
     def _width_of(self, joint: JointFit) -> float:
@@ -313,7 +313,7 @@ class _Sample:
         is_far = bool((np.abs(focals) > _MOST_STDS * stds).any())
         if is_worse or (is_far and fit.model.name != "assumed"):
             return fit
-        hessian, _ = joint.slopes(pose, self._width_of(joint), joint.prior)
+        hessian = joint.slopes(pose, self._width_of(joint), joint.prior).hessian
         loss = self.weight * float(losses.sum())
         return fit.with_evidence(pose, loss, self.weight * hessian)
 

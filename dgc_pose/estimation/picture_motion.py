@@ -17,13 +17,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation.intrinsics_prior import parameter_stds, with_parameters
-from dgc_pose.estimation.least_squares import EFFICIENT, KEPT, block_jackknife, loss_terms
+from dgc_pose.estimation.least_squares import (
+    CORRELATED,
+    EFFICIENT,
+    KEPT,
+    Slopes,
+    block_jackknife,
+    cauchy_slopes,
+    loss_terms,
+    minimised,
+)
 from dgc_pose.geometry.epipolar import homogeneous
 
 NUMBER = 7  # of parameters: a rotation vector, radians; t; ln of the zoom; then those of the camera
@@ -42,7 +52,8 @@ _OUTLIER = 8.0
 _OUTLIER_LOSS = 4.0  # largest loss of a match: an outlier determines no motion
 FAR_MORE = 1.5  # times the part of the picture that agrees
 _STEPS = 20
-_CONVERGED = 0.01  # of the loss, and of the standard deviation, relative
+_CONVERGED = 5e-5  # of the loss, relative
+_STD_INFORMATION = 100.0  # of ln of the standard deviation of a match, for the end of the steps
 _MOST_Z = 4.0  # standard deviations by which a camera may deviate
 _SLOPE_STEP = 1e-4
 # Spreads of the depths over `_DEPTH_STD`: the loss is that of the likeliest.
@@ -113,9 +124,9 @@ def fitted(matched: FixedMatches, starts: list[tuple[Motion, float]]) -> MotionF
     """The motion of least loss, with its covariance: by a rotation and a zoom, or with a shift, or
     with all, if this lowers the loss enough. starts: motions, each with the first standard
     deviation of a match, pixels: the loss has several minima."""
-    unshifted = [_minimised(matched, *start, SHIFT, 0.0) for start in starts]
-    shifted = [_minimised(matched, *start, ZOOM, _COST_OF_SHIFT) for start in starts]
-    both = [_minimised(matched, *start, _NOTHING, _COST_OF_BOTH) for start in starts]
+    unshifted = [_minimum(matched, *start, SHIFT, 0.0) for start in starts]
+    shifted = [_minimum(matched, *start, ZOOM, _COST_OF_SHIFT) for start in starts]
+    both = [_minimum(matched, *start, _NOTHING, _COST_OF_BOTH) for start in starts]
     minima = [*unshifted, *shifted, *both]
     best = minima[0]
     for other in minima[1:]:
@@ -142,37 +153,71 @@ def _is_better(other: Minimum, best: Minimum) -> bool:
     return other.loss < best.loss and best_share <= FAR_MORE * share
 
 
-def _minimised(
+def _minimum(
     matched: FixedMatches, motion: Motion, std: float, fixed: slice | int, cost: float
 ) -> Minimum:
-    """Gauss-Newton steps from a motion. std: first standard deviation of a match, pixels; each step
-    reduces it, down to that of the best quarter of the picture. fixed: parameters that stay. cost:
-    of the others, added to the loss."""
-    least, most = np.multiply(_NOISE, matched.error_px)
-    std = max(std, most)
-    prior = _prior(len(motion.z))
-    free = np.ones(len(prior), bool)
+    """The motion of least loss near another. std: first standard deviation of a match, pixels; each
+    step reduces it, down to that of the best quarter of the picture. fixed: parameters that stay.
+    cost: of the others, added to the loss."""
+    free = np.ones(NUMBER + len(motion.z), bool)
     free[fixed] = False
-    for _ in range(_STEPS):
-        errors, slopes, _ = _errors(matched, motion, std)
-        robust = matched.weights[:, None] / (1 + np.square(errors / EFFICIENT))
-        robust *= (np.abs(errors) < _OUTLIER).all(1)[:, None]
-        weighted = robust[..., None] * slopes
-        values = np.array([0, 0, 0, *motion.t, motion.log_zoom, *motion.z])
-        gradient = np.einsum("nki,nk->i", weighted, errors) - prior * values
-        information = np.tensordot(weighted, slopes, axes=((0, 1), (0, 1))) + np.diag(prior)
-        step = np.zeros(len(prior))
-        step[free] = np.linalg.solve(information[np.ix_(free, free)], gradient[free])
-        motion = motion.moved(step)
-        before = std
-        shown = std * quantile(np.abs(errors[:, 1]), matched.weights, 0.25) / 0.3186  # Gaussian
-        std = max(0.7 * std, least, min(shown, most))
-        if gradient @ step < _CONVERGED and abs(std / before - 1) < _CONVERGED:
-            break
-    errors, _, stds = _errors(matched, motion, std)
+    start = _Trial(matched, motion, max(std, _NOISE[1] * matched.error_px))
+    trial = minimised(_MotionProblem(free), start, _STEPS, descends=False, converged=_CONVERGED)
+    errors, _, stds = trial.errors
     inliers = (np.abs(errors) < _INLIER).all(1)
     loss = min(_loss(matched, errors, stds, share) for share in _SPREADS)
-    return Minimum(motion, std, matched.weights * inliers, cost + loss)
+    return Minimum(trial.motion, trial.std, matched.weights * inliers, cost + loss)
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """A motion, with the standard deviation of a match, pixels."""
+
+    matched: FixedMatches
+    motion: Motion
+    std: float
+
+    @cached_property
+    def errors(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """See `_errors`."""
+        return _errors(self.matched, self.motion, self.std)
+
+    @cached_property
+    def next_std(self) -> float:
+        """The standard deviation after a step: that of the best quarter of the picture."""
+        across = np.abs(self.errors[0][:, 1])
+        shown = self.std * quantile(across, self.matched.weights, 0.25) / 0.3186  # Gaussian
+        least, most = np.multiply(_NOISE, self.matched.error_px)
+        return max(0.7 * self.std, least, min(shown, most))
+
+
+@dataclass(frozen=True, eq=False)
+class _MotionProblem:
+    """Least squares of a motion. The last parameter of a step is ln of the standard deviation of a
+    match. free: (P,) bool, the parameters of the motion that do not stay."""
+
+    free: np.ndarray
+
+    def linearised(self, trial: _Trial) -> Slopes:
+        errors, slopes, _ = trial.errors
+        near = (np.abs(errors) < _OUTLIER).all(1)
+        counts = np.repeat(CORRELATED * trial.matched.weights * near, 2)
+        matches = cauchy_slopes(errors.ravel(), slopes.reshape(errors.size, -1), EFFICIENT, counts)
+        motion = trial.motion
+        values = np.array([0, 0, 0, *motion.t, motion.log_zoom, *motion.z])
+        cost, hessian, gradient = matches.with_prior(values, _prior(len(motion.z)))
+        number = int(self.free.sum())
+        beside = np.zeros((number + 1, number + 1))
+        beside[:number, :number] = hessian[np.ix_(self.free, self.free)]
+        beside[number, number] = _STD_INFORMATION
+        change = _STD_INFORMATION * math.log(trial.std / trial.next_std)
+        return Slopes(cost, beside, np.append(gradient[self.free], change))
+
+    def moved(self, trial: _Trial, step: np.ndarray) -> _Trial:
+        whole = np.zeros(len(self.free))
+        whole[self.free] = step[:-1]
+        std = trial.std * math.exp(step[-1])
+        return _Trial(trial.matched, trial.motion.moved(whole), std)
 
 
 def _loss(matched: FixedMatches, errors: np.ndarray, stds: np.ndarray, share: float) -> float:
@@ -223,7 +268,7 @@ def _errors(
     matched: FixedMatches, motion: Motion, std: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The errors (N, 2) of matches, along and across the parallax, over their standard deviations;
-    minus their derivatives (N, 2, P); and the standard deviations (N, 2), pixels."""
+    their derivatives (N, 2, P); and the standard deviations (N, 2), pixels."""
     seen, slopes = pictured(matched.points1, matched.camera, motion)
     parallax = slopes[..., SHIFT] @ motion.t
     direction = parallax + (1e-9, 0.0)  # any direction if there is no parallax
@@ -233,7 +278,7 @@ def _errors(
     axes = np.stack([along, along[:, ::-1] * (-1, 1)], 1)
     stds = np.hstack([np.hypot(std, spread), np.full_like(spread, std)])
     errors = np.einsum("nki,ni->nk", axes, matched.points2 - seen - parallax) / stds
-    slopes = axes @ slopes / stds[..., None]
+    slopes = axes @ slopes / -stds[..., None]
     rho = 1 + _DEPTH_STD * spread[:, 0] * errors[:, 0] / stds[:, 0]
     slopes[:, 1, SHIFT] *= rho.clip(0, 4)[:, None]
     # Where the lens has no inverse, a match is an outlier.

@@ -20,14 +20,15 @@ from dgc_pose.estimation.intrinsics_prior import (
     renormalised_slopes,
 )
 from dgc_pose.estimation.least_squares import (
-    CORRELATED,
-    EFFICIENT,
     KEPT,
+    Slopes,
     block_jackknife,
-    cauchy_losses,
-    levenberg_marquardt,
+    cauchy_slopes,
     loss_terms,
     loss_width,
+    match_variance,
+    minimised,
+    prior_information,
 )
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.robust_fit import TRANSFER_LIMIT, draw
@@ -65,10 +66,6 @@ class _Turn:
     R: np.ndarray  # (3, 3)
     z: np.ndarray  # (M,) parameters in the basis of an `IntrinsicsPrior`, standard deviations
 
-    def moved(self, step: np.ndarray) -> _Turn:
-        """The turn after a step (3 + M,)."""
-        return _Turn(cv2.Rodrigues(step[:3])[0] @ self.R, self.z + step[3:])
-
 
 @dataclass(frozen=True, eq=False)
 class _TurnFit:
@@ -76,6 +73,15 @@ class _TurnFit:
 
     problem: TwoViewProblem
     prior: IntrinsicsPrior
+    width: float = math.inf  # of the losses, in the problem's unit; of matches that are fitted
+
+    def linearised(self, turn: _Turn) -> Slopes:
+        """The losses of all matches and the prior, by the turn and the parameters (3 + M,)."""
+        return cauchy_slopes(*self.errors_and_slopes(turn), self.width).with_prior(turn.z)
+
+    def moved(self, turn: _Turn, step: np.ndarray) -> _Turn:
+        """The turn after a step (3 + M,)."""
+        return _Turn(cv2.Rodrigues(step[:3])[0] @ turn.R, turn.z + step[3:])
 
     def distances(self, turn: _Turn) -> np.ndarray:
         """The lengths (N,) of the errors; infinite beyond the horizon."""
@@ -118,33 +124,15 @@ class _TurnFit:
         error = np.where(turned[:, 2:] > 0, error, np.inf)
         return np.nan_to_num(error * np.exp((self.prior.basis @ turn.z)[SIZE]), nan=np.inf)
 
-    def fitted(self, turn: _Turn, width: float) -> _Turn:
-        """The turn of least Cauchy loss, from one with finite errors."""
-
-        def linearised(turn: _Turn) -> tuple[float, np.ndarray, np.ndarray]:
-            error, slopes = self.errors_and_slopes(turn)
-            distance = _lengths(error)
-            cost = float(cauchy_losses(distance, width).sum() + turn.z @ turn.z / 2)
-            if not math.isfinite(cost):  # a step that is refused
-                return cost, np.eye(3 + len(turn.z)), np.zeros(3 + len(turn.z))
-            weights = (EFFICIENT / width) ** 2 / CORRELATED / (1 + (distance / width) ** 2)
-            hessian = np.einsum("n,nip,niq->pq", weights, slopes, slopes)
-            gradient = np.einsum("n,nip,ni->p", weights, slopes, error)
-            gradient[3:] += turn.z
-            hessian[3:, 3:] += np.eye(len(turn.z))
-            return cost, hessian, gradient
-
-        return levenberg_marquardt(turn, linearised, _Turn.moved, _ITERATIONS)
-
-    def covariance(self, turn: _Turn, width: float) -> np.ndarray | None:
+    def covariance(self, turn: _Turn) -> np.ndarray | None:
         """The covariance (3, 3) of the rotation vector, as of a pose (`covariance`)."""
         error, slopes = self.errors_and_slopes(turn)
         error = error.ravel()
         slopes = slopes.reshape(len(error), -1)
         count = slopes.shape[1]
-        variance = CORRELATED * (width / EFFICIENT) ** 2
-        information = variance * np.diag([0.0] * 3 + [1.0] * len(turn.z))
-        terms = loss_terms(error, slopes, width)
+        variance = match_variance(self.width)
+        information = variance * prior_information(count, np.ones(len(turn.z)))
+        terms = loss_terms(error, slopes, self.width)
         total = information + terms[:, : count**2].sum(0).reshape(count, count)
         points = np.repeat(self.problem.points2, 2, axis=0)
         try:
@@ -174,13 +162,15 @@ def turned_camera(stated: TwoViewProblem) -> StillCamera:
         if near.sum() < max(_MIN_SHARE * len(sample), _MIN_COUNT):
             return StillCamera(turn.R, 0)
         width = loss_width(distance[near], widest * limit)
-        turn = _TurnFit(sample.subset(near), prior).fitted(turn, width)
+        turn = minimised(_TurnFit(sample.subset(near), prior, width), turn, _ITERATIONS)
     whole = _TurnFit(stated, prior)
-    explained = _TurnFit(stated.subset(whole.distances(turn) < limit), prior)
-    if not len(explained.problem):
+    distance = whole.distances(turn)
+    near = distance < limit
+    if not near.any():
         return StillCamera(turn.R, 0)
-    width = loss_width(explained.distances(turn) / _RAYLEIGH, limit)
-    return StillCamera(turn.R, len(explained.problem), explained.covariance(turn, width))
+    width = loss_width(distance[near] / _RAYLEIGH, limit)
+    explained = _TurnFit(stated.subset(near), prior, width)
+    return StillCamera(turn.R, int(near.sum()), explained.covariance(turn))
 
 
 def zoomed_camera(inliers: TwoViewProblem) -> StillCamera:

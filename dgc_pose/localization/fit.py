@@ -9,6 +9,7 @@ correspondences together.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import poselib
@@ -16,12 +17,15 @@ import poselib
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.intrinsics_prior import SIZE, IntrinsicsPrior
 from dgc_pose.estimation.least_squares import (
-    CORRELATED,
-    EFFICIENT,
+    Slopes,
     block_sums,
+    cauchy_slopes,
     jackknife,
     loss_terms,
     loss_width,
+    match_variance,
+    minimised,
+    prior_information,
 )
 from dgc_pose.estimation.robust_fit import CAMERA, FOCAL, run_seeds
 from dgc_pose.localization.correspondences import (
@@ -39,7 +43,6 @@ _FITTED = 400  # inliers of a pair in a fit; the errors of neighbours are correl
 _MIN_INLIERS = 8  # of a pair
 _MAX_STARTS = 3  # number of starts that are fitted
 _STEPS = 12
-_CONVERGED = 1e-6
 _MIN_KEPT = 0.95  # least score of a fit, over that of its start
 
 
@@ -160,24 +163,37 @@ def fitted(
     *,
     skewed: bool = False,
 ) -> WorldPose:
-    """Fit the pose and the parameters of the camera: least Cauchy loss of the inliers, by
-    Gauss-Newton with weights from the loss and new inliers before each step. Return the start if
-    the fit has a much worse score. skewed: whether to fit a skew, too."""
-    start = pose
-    for _ in range(_STEPS):
-        z = np.linalg.lstsq(prior.basis[SIZE:], pose.parameters, rcond=None)[0]
-        information = np.diag([*np.zeros(6), *np.ones(len(prior) + skewed)])
-        gradient = np.concatenate([np.zeros(6), z, [pose.skew] * skewed])
-        for part, width in _inliers(every, pose, _FITTED):
-            error, slopes = _slopes(part, pose, prior, skewed=skewed)
-            weights = (EFFICIENT / width) ** 2 / CORRELATED / (1 + (error / width) ** 2)
-            information += (slopes * weights[:, None]).T @ slopes
-            gradient += (weights * error) @ slopes
-        step = np.linalg.lstsq(information, -gradient, rcond=None)[0]
-        pose = pose.moved(step, prior)
-        if abs(step @ gradient) < _CONVERGED:
-            break
-    return pose if score(every, pose) >= _MIN_KEPT * score(every, start) else start
+    """Fit the pose and the parameters of the camera: least Cauchy loss of the inliers, which are
+    chosen anew before each step. Return the start if the fit has a much worse score. skewed:
+    whether to fit a skew, too."""
+    problem = _LocationFit(every, prior, skewed)
+    found = minimised(problem, pose, _STEPS, descends=False)
+    return found if score(every, found) >= _MIN_KEPT * score(every, pose) else pose
+
+
+@dataclass(frozen=True, eq=False)
+class _LocationFit:
+    """Least squares of a pose and a camera, on the inliers of each pose."""
+
+    every: Sequence[Correspondences]
+    prior: IntrinsicsPrior
+    skewed: bool
+
+    def linearised(self, pose: WorldPose) -> Slopes:
+        count = 6 + len(self.prior) + self.skewed
+        cost = 0.0
+        hessian = np.zeros((count, count))
+        gradient = np.zeros(count)
+        for part, width in _inliers(self.every, pose, _FITTED):
+            found = cauchy_slopes(*_slopes(part, pose, self.prior, skewed=self.skewed), width)
+            cost += found.cost
+            hessian += found.hessian
+            gradient += found.gradient
+        z = np.linalg.lstsq(self.prior.basis[SIZE:], pose.parameters, rcond=None)[0]
+        return Slopes(cost, hessian, gradient).with_prior(np.append(z, [pose.skew] * self.skewed))
+
+    def moved(self, pose: WorldPose, step: np.ndarray) -> WorldPose:
+        return pose.moved(step, self.prior)
 
 
 def _slopes(
@@ -223,18 +239,18 @@ def world_covariance(
     jackknife over whole sets, since each reference has errors of its own.
     """
     count = 6 + len(prior) + skewed
-    information = np.diag([*np.zeros(6), *np.ones(count - 6)])
+    information = prior_information(count, np.ones(count - 6))
     terms = []
     seen = []
     for part, width in _inliers(every, pose):
         error, slopes = _slopes(part, pose, prior, skewed=skewed)
-        terms.append((EFFICIENT / width) ** 2 / CORRELATED * loss_terms(error, slopes, width))
+        terms.append(loss_terms(error, slopes, width) / match_variance(width))
         seen.append(np.tile(part.seen, (len(error) // len(part), 1)))
     if not terms:
         return None
     groups = [block_sums(np.vstack(terms), np.vstack(seen), (0.0, 0.0))]
     if len(terms) > 2:
-        groups.append(np.stack([of_pair.sum(0) for of_pair in terms]))
+        groups.append(np.stack([each.sum(0) for each in terms]))
     total = information + groups[0][:, : count**2].sum(0).reshape(count, count)
     try:
         inverse = np.linalg.inv(total)

@@ -25,7 +25,7 @@ from dgc_pose.geometry.pixels import turn_points
 from dgc_pose.geometry.rotation import camera_centres
 from dgc_pose.localization.location import Location
 from dgc_pose.model import HALF_PIXEL, Model
-from dgc_pose.rigs.bundle import Bundle, BundleCamera, Matched, Observed, minimised
+from dgc_pose.rigs.bundle import Bundle, BundleCamera, Matched, Observed, adjusted_bundle
 from dgc_pose.system.colmap_library import pycolmap
 
 # Largest reprojection error of a point in the adjustment: in pixels, or times the median error, as
@@ -134,7 +134,7 @@ def _adjusted(
         [*matched.values()],
         [start.index[number] for number in fixing],
     )
-    fit = minimised(bundle)
+    fit = adjusted_bundle(bundle)
     covariance = _ERROR_FACTOR**2 * fit.covariance()
     cameras = start.final_cameras(fit.bundle)
     added = {start.index[number] for number in {*numbers.values()} - {*fixing}}

@@ -26,12 +26,13 @@ from dgc_pose.estimation.intrinsics_prior import (
     renormalised_pair,
 )
 from dgc_pose.estimation.least_squares import (
-    CORRELATED,
-    EFFICIENT,
+    Slopes,
     block_sums,
-    cauchy_losses,
-    levenberg_marquardt,
+    cauchy_slopes,
+    cauchy_weights,
     loss_width,
+    minimised,
+    prior_information,
 )
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.epipolar import depths
@@ -198,9 +199,7 @@ class _Rows:
     @cached_property
     def weights(self) -> np.ndarray:
         """(n,) by which the squares have the slope of the Cauchy loss."""
-        unit = (EFFICIENT / self.width) ** 2 / CORRELATED
-        weights: np.ndarray = unit / (1 + (self.error / self.width) ** 2)
-        return weights
+        return cauchy_weights(self.error, self.width)
 
 
 def _rows(bundle: Bundle) -> Iterator[_Rows]:
@@ -242,27 +241,24 @@ class NormalEquations:
 
     Attributes:
         bundle: Where they are.
-        cost: The sum of the Cauchy losses, and half the squared deviations from the priors.
-        hessian: (K, K), by the columns of the bundle.
-        gradient: (K,).
+        slopes: The Cauchy losses and the priors, by the columns (K,) of the bundle.
     """
 
     def __init__(self, bundle: Bundle) -> None:
         self.bundle = bundle
         count = bundle.columns[-1].stop
-        self.cost = 0.0
+        cost = 0.0
         whole = np.zeros((count, count))
         gradient = np.zeros(count)
         by_points = np.zeros((len(bundle.points), 3, 3))
         self._point_gradient = np.zeros((len(bundle.points), 3))
         crosses = list[tuple[np.ndarray, np.ndarray, np.ndarray]]()
         for rows in _rows(bundle):
-            self.cost += float(cauchy_losses(rows.error, rows.width).sum())
-            weighted = rows.slopes * rows.weights[:, None]
-            products = weighted.T @ np.column_stack([rows.slopes, rows.error])
+            own = cauchy_slopes(rows.error, rows.slopes, rows.width)
+            cost += own.cost
             # A picture pair of one camera has each of its columns twice.
-            np.add.at(whole, np.ix_(rows.columns, rows.columns), products[:, :-1])
-            np.add.at(gradient, rows.columns, products[:, -1])
+            np.add.at(whole, np.ix_(rows.columns, rows.columns), own.hessian)
+            np.add.at(gradient, rows.columns, own.gradient)
             if len(rows.points):
                 by_point = rows.by_point.reshape(2, -1, 3)
                 heavy = (rows.by_point * rows.weights[:, None]).reshape(2, -1, 3)
@@ -273,11 +269,6 @@ class NormalEquations:
                 crosses.append((rows.columns, rows.points, cross))
         poses = np.arange(_POSE * len(bundle.R))
         whole[poses, poses] += _LEAST_OF_POSE
-        own = bundle.columns[len(bundle.R) :]
-        for camera, columns in zip(bundle.cameras, own, strict=True):
-            whole[columns, columns] += 1
-            gradient[columns] += camera.deviation
-            self.cost += float(camera.deviation @ camera.deviation) / 2
         least = _LEAST_INFORMATION * np.trace(by_points, axis1=1, axis2=2).mean()
         self._inverse = np.linalg.inv(by_points + max(least, 1e-300) * np.eye(3))
         self._cross = np.zeros((len(bundle.points), 3, count))
@@ -289,8 +280,8 @@ class NormalEquations:
             reducing = (self._inverse[points] @ cross).reshape(-1, len(open_columns)).T
             whole[open_columns] -= reducing @ self._cross[points].reshape(-1, count)
             gradient[open_columns] -= reducing @ self._point_gradient[points].ravel()
-        self.hessian = whole
-        self.gradient = gradient
+        deviations = np.concatenate([camera.deviation for camera in bundle.cameras])
+        self.slopes = Slopes(cost, whole, gradient).with_prior(deviations)
 
     def moved(self, step: np.ndarray) -> NormalEquations:
         """After a step (K,), with the points that fit it."""
@@ -308,7 +299,7 @@ class NormalEquations:
         errors are correlated.
         """
         frame = self._frame()
-        inverse = np.linalg.inv(self.hessian + _FIXED * frame.T @ frame)
+        inverse = np.linalg.inv(self.slopes.hessian + _FIXED * frame.T @ frame)
         scatter = np.zeros_like(inverse)
         images: dict[int, list[tuple[np.ndarray, np.ndarray]]] = {}
         for rows in _rows(self.bundle):
@@ -325,8 +316,9 @@ class NormalEquations:
             seen, gradients = (np.vstack(each) for each in zip(*parts, strict=True))
             sums = block_sums(gradients, seen, (0.0, 0.0))
             scatter += sums.T @ sums
-        of_cameras = np.arange(len(inverse)) >= _POSE * len(self.bundle.R)
-        covariance: np.ndarray = inverse + inverse @ (scatter + np.diag(of_cameras)) @ inverse
+        open_ = np.ones(len(inverse) - _POSE * len(self.bundle.R))
+        prior = prior_information(len(inverse), open_)
+        covariance: np.ndarray = inverse + inverse @ (scatter + prior) @ inverse
         return covariance
 
     def _frame(self) -> np.ndarray:
@@ -346,16 +338,22 @@ class NormalEquations:
         return rows / len(fixing)
 
 
+class _Adjustment:
+    """The least squares of a bundle."""
+
+    def linearised(self, fit: NormalEquations) -> Slopes:
+        return fit.slopes
+
+    def moved(self, fit: NormalEquations, step: np.ndarray) -> NormalEquations:
+        return fit.moved(step)
+
+
 @one_blas_thread()
-def minimised(whole: Bundle) -> NormalEquations:
+def adjusted_bundle(whole: Bundle) -> NormalEquations:
     """The bundle of least loss near its start."""
     bundle = whole
     for _ in range(_ROUNDS):
-        fit = levenberg_marquardt(
-            NormalEquations(bundle.with_inliers(whole)),
-            lambda fit: (fit.cost, fit.hessian, fit.gradient),
-            NormalEquations.moved,
-            _STEPS,
-        )
+        start = NormalEquations(bundle.with_inliers(whole))
+        fit = minimised(_Adjustment(), start, _STEPS)
         bundle = fit.bundle
     return fit

@@ -50,8 +50,8 @@ def test_the_slopes_are_the_differences_of_the_errors(lens) -> None:
     turn = _Turn(scene.R, np.array([0.4, -0.3, 0.2, 0.5]))
     _, slopes = fit.errors_and_slopes(turn)
     for column, step in enumerate(1e-6 * np.eye(7)):
-        ahead, _ = fit.errors_and_slopes(turn.moved(step))
-        behind, _ = fit.errors_and_slopes(turn.moved(-step))
+        ahead, _ = fit.errors_and_slopes(fit.moved(turn, step))
+        behind, _ = fit.errors_and_slopes(fit.moved(turn, -step))
         np.testing.assert_allclose(slopes[:, :, column], (ahead - behind) / 2e-6, atol=2e-4)
 
 

@@ -15,7 +15,7 @@ from dgc_pose.images.decoding import Header
 from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.rigs.adjustment import bundle_camera
-from dgc_pose.rigs.bundle import Bundle, Matched, NormalEquations, Observed, minimised
+from dgc_pose.rigs.bundle import Bundle, Matched, NormalEquations, Observed, adjusted_bundle
 
 SIZE = (800, 600)
 CAMERA = Camera(np.array([700.0, 700, 399.5, 299.5]), SIZE)
@@ -78,18 +78,18 @@ def test_the_gradient_is_that_of_the_cost(own: Camera | None) -> None:
     bundle = world(0, own)[0]
     normal = NormalEquations(bundle.with_inliers(bundle))
     for _ in range(40):  # to the points that fit these cameras
-        normal = normal.moved(np.zeros(len(normal.gradient)))
+        normal = normal.moved(np.zeros(len(normal.slopes.gradient)))
     rng = np.random.default_rng(1)
     for _ in range(5):
-        step = 1e-5 * rng.standard_normal(len(normal.gradient))
-        ahead, behind = (normal.moved(sign * step).cost for sign in (1, -1))
-        assert (ahead - behind) / 2 == pytest.approx(normal.gradient @ step, rel=1e-2)
+        step = 1e-5 * rng.standard_normal(len(normal.slopes.gradient))
+        ahead, behind = (normal.moved(sign * step).slopes.cost for sign in (1, -1))
+        assert (ahead - behind) / 2 == pytest.approx(normal.slopes.gradient @ step, rel=1e-2)
 
 
 def test_exact_cameras_agree_with_colmaps_adjustment() -> None:
     """Both minimise reprojection errors; ours are robust, and it has the matches too."""
     bundle, R, centres = world(0, CAMERA)
-    fit = minimised(replace(bundle, matched=[])).bundle
+    fit = adjusted_bundle(replace(bundle, matched=[])).bundle
     theirs = pycolmap.Reconstruction()
     theirs.add_camera_with_trivial_rig(
         pycolmap.Camera.create_from_model_name(1, "PINHOLE", 700, *SIZE)
@@ -131,7 +131,7 @@ def test_the_stated_errors_hold(lower: bool) -> None:
     for seed in range(10):
         start = ASSUMED.with_focal(690.0)
         bundle, R, centres = world(seed, start, lower)
-        normal = minimised(bundle)
+        normal = adjusted_bundle(bundle)
         pose = normal.bundle.columns[6]
         covariance = normal.covariance()[np.ix_(pose, pose)]
         turn, shift = off_truth(normal.bundle, R, centres)
@@ -154,7 +154,7 @@ def test_a_picture_that_hardly_a_point_places_leaves_the_others() -> None:
     ]
     stds = []
     for observed in (bundle.observed, few):
-        normal = minimised(replace(bundle, observed=observed))
+        normal = adjusted_bundle(replace(bundle, observed=observed))
         before, after = (off_truth(each, R, centres) for each in (bundle, normal.bundle))
         assert max(np.divide(after, before)) < 0.9
         variances = normal.covariance().diagonal()
@@ -166,7 +166,7 @@ def test_a_picture_that_hardly_a_point_places_leaves_the_others() -> None:
 def test_a_camera_that_nothing_places_has_large_errors() -> None:
     bundle, *_ = world(0, ASSUMED.with_focal(690.0))
     observed = [part for part in bundle.observed if part.image < 6]
-    normal = minimised(replace(bundle, observed=observed, matched=[]))
+    normal = adjusted_bundle(replace(bundle, observed=observed, matched=[]))
     variances = normal.covariance().diagonal()
     stds = [np.sqrt(variances[columns].sum()) for columns in normal.bundle.columns[:7]]
     assert stds[6] > 100 and max(stds[:6]) < 0.02
