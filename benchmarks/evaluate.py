@@ -107,7 +107,7 @@ def doubts_camera(pose: RelativePose, cameras: tuple[Camera, Camera]) -> bool:
     K or a focal length from EXIF. cameras: before the estimation."""
     if any(camera.focal_source == "given" and camera.warnings for camera in cameras):
         return True
-    if pose.evidence is None or not STATUSES[pose.status].of_cameras:
+    if pose.evidence is None or not STATUSES[pose.status].shows_cameras:
         return False
     fitted = zip(cameras, (pose.camera1, pose.camera2), strict=True)
     return pose.contradicts_K or any(

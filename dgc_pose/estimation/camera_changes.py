@@ -153,7 +153,7 @@ def has_sensor_shape(camera: Camera) -> bool:
 # Models without a K
 
 
-def _of_picture(
+def _picture_variants(
     change: Callable[[Camera], Camera], usual_log_odds: float
 ) -> Callable[[Cameras], Iterator[Variant]]:
     """The variants of a model that changes each camera without a K in the same way."""
@@ -410,17 +410,17 @@ def picture(stated: Cameras) -> Iterator[Variant]:
         return
     first, second = map(picture_camera, stated)
     odds = _LOG_ODDS_OF_PICTURE + max(map(improbability, stated))
-    of_one, of_two = (0.0, _TWO) if _have_one_focal(stated) else (2 * _TWO, 0.0)
+    have_one = _have_one_focal(stated)
     if first.identity == second.identity:
-        yield Variant((first, second), odds + of_one)
+        yield Variant((first, second), odds + (0.0 if have_one else 2 * _TWO))
     separate = replace(first, identity=None), replace(second, identity=None)
-    yield Variant(separate, odds + of_two)
+    yield Variant(separate, odds + (_TWO if have_one else 0.0))
 
 
-squeezed = _of_picture(_squeezed, _LOG_ODDS_OF_EDITED)
-off_centre = _of_picture(_off_centre, _LOG_ODDS_OF_EDITED)
-fisheye = _of_picture(_wide(Distortion(FISHEYE, (0.0,) * 4), 0.55, 0.35), _LOG_ODDS_OF_WIDE)
-cylinder = _of_picture(_wide(Distortion(CYLINDER), 0.6, 0.4), _LOG_ODDS_OF_WIDE)
+squeezed = _picture_variants(_squeezed, _LOG_ODDS_OF_EDITED)
+off_centre = _picture_variants(_off_centre, _LOG_ODDS_OF_EDITED)
+fisheye = _picture_variants(_wide(Distortion(FISHEYE, (0.0,) * 4), 0.55, 0.35), _LOG_ODDS_OF_WIDE)
+cylinder = _picture_variants(_wide(Distortion(CYLINDER), 0.6, 0.4), _LOG_ODDS_OF_WIDE)
 focal = _in_place_of_K(partial(_loosened, focal=_FOCAL_STD, one=True), -5.5)
 focals = _in_place_of_K(partial(_loosened, focal=_FOCAL_STD, one=False), -8.0)
 lens = _in_place_of_K(_lensed, -5.5)

@@ -200,7 +200,7 @@ def rough_pose(joint: JointFit) -> JointPose | None:
     tried = [(k, k) for k in _TRIED_TOGETHER] + [(-k, k) for k in _TRIED_APART]
     seeds = run_seeds(joint.problem.options, len(tried) + 1)
     runs = [
-        partial(start_at, joint, of_focals(np.array(at)), seed)
+        partial(start_at, joint, focal_parameters(np.array(at)), seed)
         for at, seed in zip(tried, seeds[:-1], strict=True)
     ]
     runs.append(partial(solved_start, joint, seeds[-1]))
@@ -222,7 +222,7 @@ def _starts(joint: JointFit) -> list[JointPose | None]:
     seeds = run_seeds(joint.problem.options, count + 1)
     less = max(1, joint.problem.options.iterations // _SHARE)
     runs = [
-        partial(start_at, joint, of_focals(at), seed, less)
+        partial(start_at, joint, focal_parameters(at), seed, less)
         for at, seed in zip(tried, seeds[:-1], strict=True)
     ]
     runs.append(partial(solved_start, joint, seeds[-1]))
@@ -237,10 +237,10 @@ def solved_start(joint: JointFit, seed: int) -> JointPose | None:
         return None
     shared = bool((first == second).all())  # off by the same factor
     result = essential_and_focals(draw(joint.problem, seed), seed, shared=shared)
-    return None if result is None else _start(joint, result[0], of_focals(np.log(result[1])))
+    return None if result is None else _start(joint, result[0], focal_parameters(np.log(result[1])))
 
 
-def of_focals(log_focals: np.ndarray, aspects: np.ndarray | float = 0.0) -> np.ndarray:
+def focal_parameters(log_focals: np.ndarray, aspects: np.ndarray | float = 0.0) -> np.ndarray:
     """The parameters (2 * SIZE,) of cameras with these changes of ln f and of ln fy / fx."""
     parameters = np.zeros(2 * SIZE)
     parameters[FOCALS] = log_focals

@@ -135,8 +135,8 @@ def _still_camera(
     normalised by the cameras of the pose `best`."""
     if all(camera.exact for camera in stated.cameras):
         return turned
-    of_inliers = np.isin(stated.index, problem.index[best.inliers])
-    zoomed = zoomed_camera(stated.subset(of_inliers))
+    explained = np.isin(stated.index, problem.index[best.inliers])
+    zoomed = zoomed_camera(stated.subset(explained))
     if zoomed.is_turn and turned.count >= _SAME_TURN * zoomed.count:
         return turned  # whose error is known
     return max(zoomed, turned, key=lambda still: still.count)
@@ -156,7 +156,7 @@ def _runs_by_model(
     model; and the hypotheses of the runs, with most inliers first; no hypotheses if there is no
     essential matrix.
     """
-    turned = turned_camera(stated.of_cameras(turning(stated.cameras), stated.threshold_px))
+    turned = turned_camera(stated.with_cameras(turning(stated.cameras), stated.threshold_px))
     joint = JointFit(stated)
     runs = list[Hypothesis]()
     if len(joint.prior):
@@ -174,10 +174,10 @@ def _runs_by_model(
     if is_assumed and runs:
         return turned, stated, model, runs
     if not is_assumed and model.pose is not None:
-        joint = JointFit(stated.of_cameras(model.cameras))
+        joint = JointFit(stated.with_cameras(model.cameras))
         pose = joint.fitted(model.pose)
     cameras = pair_with_parameters(joint.problem.cameras, joint.parameters(pose))
-    problem = stated.of_cameras(cameras)
+    problem = stated.with_cameras(cameras)
     model = replace(model, cameras=cameras)
     runs = sample(problem, max(1, stated.options.runs - SEARCH_RUNS))
     runs = [Hypothesis.of_pose(problem, pose.R, pose.t), *runs]

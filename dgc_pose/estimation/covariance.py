@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from dgc_pose.estimation.intrinsics_prior import EXACT, IntrinsicsPrior, error_slopes, of_pose
+from dgc_pose.estimation.intrinsics_prior import EXACT, IntrinsicsPrior, error_slopes, expanded
 from dgc_pose.estimation.least_squares import (
     CORRELATED,
     EFFICIENT,
@@ -71,9 +71,8 @@ def pose_covariance(
             covariance += moved @ moved.T
     except np.linalg.LinAlgError:
         return None
-    by_pose = of_pose(covariance[:5, :5], tangent)
-    of_cameras = covariance[5:, 5:] if fitted else np.eye(len(prior))
-    cameras = prior.basis @ of_cameras @ prior.basis.T
+    by_pose = expanded(covariance[:5, :5], tangent)
+    cameras = prior.covariance(covariance[5:, 5:] if fitted else np.eye(len(prior)))
     return (by_pose, cameras) if np.isfinite(by_pose).all() and np.isfinite(cameras).all() else None
 
 

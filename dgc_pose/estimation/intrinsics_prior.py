@@ -15,6 +15,7 @@ import numpy as np
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import RADIAL, Distortion
+from dgc_pose.estimation.least_squares import prior_information
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.epipolar import essential_from_pose, homogeneous, skew, tangent_axes
 from dgc_pose.geometry.radial import undistorted, undistorted_gradient, unprojected
@@ -49,10 +50,15 @@ class IntrinsicsPrior:
     def __len__(self) -> int:
         return self.basis.shape[1]
 
+    def covariance(self, normal: np.ndarray) -> np.ndarray:
+        """The covariance (12, 12) of the parameters, from that of the normal vector, (M, M)."""
+        covariance: np.ndarray = self.basis @ normal @ self.basis.T
+        return covariance
+
     @property
     def information(self) -> np.ndarray:
         """(5 + M, 5 + M), of a pose and the normal vector; 0 for the pose."""
-        return np.diag([*np.zeros(5), *np.ones(len(self))])
+        return prior_information(5 + len(self), np.ones(len(self)))
 
 
 SIZE = 6  # parameters of a camera
@@ -66,7 +72,7 @@ _OF_PART = 0.01  # least deviation of the principal point of a crop, over the lo
 _SECOND_LENS_STD = 2.0  # of d, over that of c; in telephones d is -2 to -4 times c
 
 
-def of_pose(covariance: np.ndarray, tangent: np.ndarray) -> np.ndarray:
+def expanded(covariance: np.ndarray, tangent: np.ndarray) -> np.ndarray:
     """The covariance (6, 6) of a rotation vector and t, from the covariance (5, 5) of the vector
     and the coordinates of t along the axes (3, 2)."""
     expand = np.zeros((6, 5))
@@ -263,13 +269,13 @@ def error_slopes(
     by_point1 = lines1[:2] / root - over * (E[:2, :2].T @ lines2[:2])
     by_point2 = lines2[:2] / root - over * (E[:2, :2] @ lines1[:2])
     lens1, lens2 = problem.lenses
-    of_cameras = np.vstack(
+    by_cameras = np.vstack(
         [
             by_parameters(problem.points1, lens1, parameters[:SIZE], points1, by_point1),
             by_parameters(problem.points2, lens2, parameters[SIZE:], points2, by_point2),
         ]
     )
-    of_cameras[FOCALS] += error / 2  # derivative of the growth
-    slopes = np.hstack([slopes, of_cameras.T @ prior.basis])
+    by_cameras[FOCALS] += error / 2  # derivative of the growth
+    slopes = np.hstack([slopes, by_cameras.T @ prior.basis])
     growth = np.exp(parameters[FOCALS].mean())
     return np.nan_to_num(error * growth, nan=np.inf), np.nan_to_num(slopes * growth), tangent

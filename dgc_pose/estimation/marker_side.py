@@ -109,7 +109,7 @@ def marker_side(
         needed = f"needs a marker in two of the {len(corners)} images"
         why = "; ".join([f"{name} {doubt}" for name, doubt in doubts.items()][:_SHOWN])
         raise InputError(ArgumentName("marker"), f"{needed}: {why}" if why else needed)
-    counted = _of_one_size(counted, doubts)
+    counted = _equally_large(counted, doubts)
     sides = np.array([fit.side for fit in counted.values()])
     information = np.array([fit.std for fit in counted.values()]) ** -2
     side = np.average(sides, weights=information)
@@ -124,7 +124,7 @@ def marker_side(
     return MarkerSide(float(side), std, images, tuple(warnings))
 
 
-def _of_one_size(fits: Mapping[str, _Fit], doubts: dict[str, str]) -> dict[str, _Fit]:
+def _equally_large(fits: Mapping[str, _Fit], doubts: dict[str, str]) -> dict[str, _Fit]:
     """The markers that have the side of most; adds the doubt about any other. Raises InputError if
     most differ, or if one has another size."""
     ordered = sorted(fits.items(), key=lambda item: item[1].side)

@@ -24,7 +24,7 @@ from dgc_pose.estimation.camera_fit import (
     ROUGH_ITERATIONS,
     JointFit,
     JointPose,
-    of_focals,
+    focal_parameters,
     rough_pose,
     start_at,
 )
@@ -178,7 +178,7 @@ class _Sample:
 
     def _joint_of(self, cameras: Cameras) -> JointFit:
         """The fit of other cameras to the sample."""
-        return JointFit(self.joint.problem.of_cameras(cameras))
+        return JointFit(self.joint.problem.with_cameras(cameras))
 
     def compared(self, assumed: ModelFit, others: Sequence[ModelFit]) -> list[ModelFit]:
         """The assumed model and the others, each of which is fitted while its estimate is the
@@ -280,7 +280,7 @@ class _Sample:
         that explains the matches nearly as well as the assumed cameras."""
         seeds = run_seeds(joint.problem.options, max(len(fit.model.focals), 1))
         runs = [
-            start_at(joint, of_focals(np.full(2, log_focal)), seed)
+            start_at(joint, focal_parameters(np.full(2, log_focal)), seed)
             for log_focal, seed in zip(fit.model.focals, seeds, strict=False)
         ]
         best = None

@@ -21,8 +21,8 @@ from dgc_pose.estimation.intrinsics_prior import (
     FOCALS,
     IntrinsicsPrior,
     between,
+    expanded,
     have_same_lens,
-    of_pose,
 )
 from dgc_pose.geometry.epipolar import tangent_axes
 
@@ -60,13 +60,13 @@ class ModelFit:
         if not (sign > 0 and math.isfinite(log_determinant)):
             return self
         inverse = np.linalg.inv(total)
-        of_cameras = prior.basis @ inverse[5:, 5:] @ prior.basis.T
+        variances = prior.covariance(inverse[5:, 5:]).diagonal()
         return replace(
             self,
             pose=pose,
             log_evidence=-loss - float(pose.z @ pose.z) / 2 - float(log_determinant) / 2,
-            covariance=of_pose(inverse[:5, :5], tangent_axes(pose.t)),
-            focal_std=math.sqrt(max(float(of_cameras.diagonal()[FOCALS].max()), 0.0)),
+            covariance=expanded(inverse[:5, :5], tangent_axes(pose.t)),
+            focal_std=math.sqrt(max(float(variances[FOCALS].max()), 0.0)),
         )
 
 

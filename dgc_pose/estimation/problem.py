@@ -102,7 +102,7 @@ class TwoViewProblem:
             index=self.index[chosen],
         )
 
-    def of_cameras(
+    def with_cameras(
         self, cameras: tuple[Camera, Camera], threshold_px: float | None = None
     ) -> TwoViewProblem:
         """The same matches normalised by other cameras; by default, with the threshold of these."""

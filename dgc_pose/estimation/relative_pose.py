@@ -73,10 +73,10 @@ def estimate_pose(
     stay = staying(matches, camera1, camera2)
     pose = None
     if stay.any():
-        of_map = map_matches and map_matches.subset(~staying(map_matches, *cameras))
+        map_left = map_matches and map_matches.subset(~staying(map_matches, *cameras))
         moving = replace(matches.subset(~stay), context_ratio=None)  # measured with the others
         problem = TwoViewProblem.of(moving, *cameras, options)
-        pose = _estimated(problem, of_map, fit_cameras)
+        pose = _estimated(problem, map_left, fit_cameras)
         pose = None if _are_far(pose, camera1) else _with_static_matches(pose, stay)
     if pose is None:
         problem = TwoViewProblem.of(matches, *cameras, options)
@@ -219,15 +219,15 @@ def uncertainty(found: Candidates) -> Uncertainty:
     if covariances is None:
         return Uncertainty(cameras)
     covariance = covariances[0] + found.model.pose_covariance
-    of_cameras = covariances[1]
-    focal_std = float(np.sqrt(of_cameras.diagonal()[FOCALS].max()))
+    raw = covariances[1]
+    focal_std = float(np.sqrt(raw.diagonal()[FOCALS].max()))
     camera_covariance = None
     if found.fitted:
-        first, unit1 = _calibrated(cameras[0], of_cameras[:SIZE, :SIZE])
-        second, unit2 = _calibrated(cameras[1], of_cameras[SIZE:, SIZE:])
+        first, unit1 = _calibrated(cameras[0], raw[:SIZE, :SIZE])
+        second, unit2 = _calibrated(cameras[1], raw[SIZE:, SIZE:])
         cameras = first, second
         units = np.concatenate([unit1, unit2])
-        camera_covariance = of_cameras * np.outer(units, units)
+        camera_covariance = raw * np.outer(units, units)
     focal_90_percent = 100 * NORMAL_90 * focal_std or None
     return Uncertainty(cameras, covariance, camera_covariance, focal_90_percent)
 
@@ -264,11 +264,11 @@ def gathered(found: Candidates, known: Uncertainty) -> Evidence:
         rotation = found.still.R
     if second is not None:
         left = found.problem.subset(~best.inliers)
-        of_left = Hypothesis.of_pose(left, second.R, second.t)
-        if not by_chance(measured(left, of_left)):
+        second_left = Hypothesis.of_pose(left, second.R, second.t)
+        if not by_chance(measured(left, second_left)):
             evidence = replace(
                 evidence,
-                num_second_inliers=of_left.num_in_front,
+                num_second_inliers=second_left.num_in_front,
                 second_rotation_deg=rotation_error_deg(second.R, rotation),
             )
     errors: tuple[float | None, float | None] = (None, None)
@@ -319,7 +319,7 @@ def _judged(
         [hypothesis.share for hypothesis in found.hypotheses if hypothesis.likely],
         same_place,
     )
-    if STATUSES[status].of_cameras:
+    if STATUSES[status].shows_cameras:
         warnings += camera_warnings(evidence.camera_model, stated, known.cameras)
     has_t = STATUSES[status].has_t
     ambiguous = status == "ambiguous"

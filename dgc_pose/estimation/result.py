@@ -132,7 +132,7 @@ class RelativePose:
     @property
     def contradicts_K(self) -> bool:
         """Whether the matches agree with other cameras than those of K."""
-        if self.evidence is None or not STATUSES[self.status].of_cameras:
+        if self.evidence is None or not STATUSES[self.status].shows_cameras:
             return False
         return model_named(self.evidence.camera_model).contradicts_K
 
@@ -235,7 +235,7 @@ class RelativePose:
         R = self.R
         E = self.E
         covariance = self.covariance
-        of_cameras = self.camera_covariance
+        camera_covariance = self.camera_covariance
         if R is not None and covariance is not None:
             by_w = np.zeros((3, 3)) if E is None else -E.T
             by = np.block([[R.T, np.zeros((3, 3))], [by_w, R.T]])  # -w and -d by w and d
@@ -249,8 +249,8 @@ class RelativePose:
             camera2=self.camera1,
             cameras=None if self.cameras is None else self.cameras[::-1],
             camera_covariance=None
-            if of_cameras is None
-            else np.roll(of_cameras, len(of_cameras) // 2, (0, 1)),
+            if camera_covariance is None
+            else np.roll(camera_covariance, len(camera_covariance) // 2, (0, 1)),
             evidence=None,
             alternatives=tuple(other.inverse() for other in self.alternatives),
             hypotheses=tuple(other.inverse() for other in self.hypotheses),
@@ -263,13 +263,12 @@ class RelativePose:
         Without a pose, the reason is the first of the warnings. If the pair is ambiguous, the
         alternatives are all of its poses, the likeliest first.
         """
-        of_alternative = ("R", "t", "num_inliers", "probability")
+        told = ("R", "t", "num_inliers", "probability")
         return {
             **{name: plain(getattr(self, name)) for name in _PLAIN},
             "tested_matchers": list(self.tested_matchers),
             "alternatives": [
-                {name: plain(getattr(other, name)) for name in of_alternative}
-                for other in self.alternatives
+                {name: plain(getattr(other, name)) for name in told} for other in self.alternatives
             ],
             "warnings": ([] if self.success else [self.reason]) + list(self.warnings),
             "seconds": {step: round(value, 4) for step, value in self.seconds.items()},
@@ -292,7 +291,7 @@ class RelativePose:
             said = tuple(data["warnings"])
             others = [_parsed(other, ["R", "t", "probability"]) for other in data["alternatives"]]
             return cls(
-                **_parsed(data, [of.name for of in fields(cls) if of.name in _PLAIN]),
+                **_parsed(data, [fact.name for fact in fields(cls) if fact.name in _PLAIN]),
                 reason=facts.meaning if facts.has_t else said[0],
                 tested_matchers=tuple(data.get("tested_matchers", ())),  # older results have none
                 alternatives=tuple(Hypothesis(**o, in_front=np.zeros(0, bool)) for o in others),

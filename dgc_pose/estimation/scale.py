@@ -130,7 +130,7 @@ def with_length(
     distance = numbers(scale.distance)
     if baseline:
         return replace(pose, length=baseline[0], length_std=[*baseline, None][1])
-    if not distance and not markers and all(of is None for of in maps):
+    if not distance and not markers and all(inverse is None for inverse in maps):
         return pose
     cameras = pose.camera1, pose.camera2
     points = matches.points1[pose.inliers], matches.points2[pose.inliers]
@@ -139,10 +139,10 @@ def with_length(
     source = _Source(partial(_by_distance, rays, cameras[0], distance or ()))
     try:
         if markers:
-            source = _of_markers(rays, cameras, markers, scale.marker or 0.0, pose.R, pose.t)
+            source = _marker_source(rays, cameras, markers, scale.marker or 0.0, pose.R, pose.t)
         elif not distance:
             z = np.array([_depths_at(*pair) for pair in zip(maps, points, strict=True)])
-            source = _of_depths(rays, z, scale.depth_std, (pose.R, pose.t), deviating)
+            source = _depth_source(rays, z, scale.depth_std, (pose.R, pose.t), deviating)
         length, own, scatter = source.measure(pose.R, pose.t)
         moved = [source.measure(R, t)[0] - length for R, t in deviating]
     except InputError as error:
@@ -168,7 +168,7 @@ class _Source(NamedTuple):
     is_sure: bool = True  # whether the deviation is known
 
 
-def _of_depths(
+def _depth_source(
     rays: Rays,
     z: np.ndarray,
     depth_std: float,
@@ -186,7 +186,7 @@ def _of_depths(
     return _Source(partial(length_by_depths, rays, along_axis, depth_std, 1 - likely), (warning,))
 
 
-def _of_markers(
+def _marker_source(
     rays: Rays,
     cameras: Sequence[Camera],
     markers: Sequence[Mapping[str, np.ndarray]],

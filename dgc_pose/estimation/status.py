@@ -31,20 +31,22 @@ class StatusFacts:
     meaning: str  # one sentence for people
     has_t: bool = False  # a success: R and t are known
     colmap: str | None = None  # COLMAP's configuration of the pair; None: no two-view geometry
-    of_cameras: bool = False  # the matches are evidence of K
+    shows_cameras: bool = False  # the matches are evidence of K
 
 
 STATUSES: Mapping[Status, StatusFacts] = {
-    "ok": StatusFacts("a pose", True, "CALIBRATED", of_cameras=True),
-    "planar": StatusFacts("a pose from a nearly planar scene", True, "PLANAR", of_cameras=True),
+    "ok": StatusFacts("a pose", True, "CALIBRATED", shows_cameras=True),
+    "planar": StatusFacts("a pose from a nearly planar scene", True, "PLANAR", shows_cameras=True),
     "rotation_only": StatusFacts("the images do not determine t", False, "PANORAMIC"),
     "too_few_matches": StatusFacts("fewer than 20 distinct matches"),
     "no_model": StatusFacts("RANSAC finds no essential matrix"),
     "chance_inliers": StatusFacts("no more inliers than unrelated images would have"),
     "collinear": StatusFacts("the inliers lie on one line, and many poses fit a line"),
     "behind_cameras": StatusFacts("many points would lie behind a camera"),
-    "undetermined": StatusFacts("the inliers do not determine the rotation", of_cameras=True),
-    "improbable": StatusFacts("all evidence together makes the pose improbable", of_cameras=True),
+    "undetermined": StatusFacts("the inliers do not determine the rotation", shows_cameras=True),
+    "improbable": StatusFacts(
+        "all evidence together makes the pose improbable", shows_cameras=True
+    ),
     "ambiguous": StatusFacts("two or more poses explain the matches"),
     "mirrored": StatusFacts("the mirror image of image 2 agrees with image 1 far better"),
     "same_picture": StatusFacts("the images are one picture, or share an overlay"),

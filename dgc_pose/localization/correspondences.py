@@ -36,11 +36,11 @@ class WorldPose:
 
     def moved(self, step: np.ndarray, prior: IntrinsicsPrior) -> WorldPose:
         """The pose after a step of a fit: (6 + M,), and with the skew (7 + M,)."""
-        of_camera = step[6 : 6 + len(prior)]
+        own = step[6 : 6 + len(prior)]
         return WorldPose(
             cv2.Rodrigues(step[:3])[0] @ self.R,
             self.centre + step[3:6],
-            self.parameters + (prior.basis @ of_camera)[SIZE:],
+            self.parameters + (prior.basis @ own)[SIZE:],
             self.skew + float(step[6 + len(prior) :].sum()),
         )
 

@@ -89,7 +89,7 @@ def _starts(
     samples = [sample for sample in map(_explained, pairs) if len(sample) >= _MIN_INLIERS]
     runs: list[WorldPose | None] = []
     if len(samples) > 1:
-        runs += in_threads(lambda seed: _of_pairs(samples, options, seed), run_seeds(options))
+        runs += in_threads(lambda seed: _pair_run(samples, options, seed), run_seeds(options))
     if sum(map(len, points)) >= _MIN_INLIERS:
         settings = {
             "max_iterations": options.iterations,
@@ -104,7 +104,7 @@ def _starts(
     return [run for run in runs if run is not None]
 
 
-def _of_pairs(
+def _pair_run(
     pairs: Sequence[PairCorrespondences], options: EstimationOptions, seed: int
 ) -> WorldPose | None:
     """The pose from one RANSAC run on the generalised relative pose (six-point solver), for pairs

@@ -67,8 +67,7 @@ def picture_text(
     covariance = world_covariance(some, pose, prior, skewed=True)
     if covariance is None or score(some, pose) < _EXPLAINED * sum(map(len, some)):
         return ""
-    of_cameras = prior.basis @ covariance[6:-1, 6:-1] @ prior.basis.T
-    stds = np.sqrt(of_cameras.diagonal()[SIZE:])
+    stds = np.sqrt(prior.covariance(covariance[6:-1, 6:-1]).diagonal()[SIZE:])
     skew_std = math.sqrt(covariance[-1, -1])
     K = with_parameters(camera, pose.parameters).K
     ratio = K[1, 1] / K[0, 0]

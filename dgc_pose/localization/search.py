@@ -141,8 +141,8 @@ class LocationSearch:
         self.covariance *= _ERROR_FACTOR**2
         self.fitted = with_parameters(self.camera, found.parameters)
         if len(prior):
-            of_cameras = prior.basis @ self.covariance[6:, 6:] @ prior.basis.T
-            known = self.fitted.with_deviations(of_cameras.diagonal()[SIZE:])
+            variances = prior.covariance(self.covariance[6:, 6:]).diagonal()
+            known = self.fitted.with_deviations(variances[SIZE:])
             self.fitted = replace(known, focal_source="matches", focal_prior=None)
 
     @property

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.estimation.camera_fit import JointFit, JointPose, of_focals, start_at
+from dgc_pose.estimation.camera_fit import JointFit, JointPose, focal_parameters, start_at
 from dgc_pose.estimation.intrinsics_prior import pair_with_parameters
 from dgc_pose.estimation.least_squares import cauchy_losses
 from dgc_pose.estimation.problem import TwoViewProblem
@@ -103,6 +103,6 @@ def test_a_run_at_another_focal_length_leaves_an_exact_camera_as_it_is() -> None
     scene = camera_scene(exact, zoomed)
     unknown = replace(exact, focal_std=0.5)
     joint = JointFit(TwoViewProblem.of(scene.matches, exact, unknown))
-    start = start_at(joint, of_focals(np.full(2, 0.6)), 0)
+    start = start_at(joint, focal_parameters(np.full(2, 0.6)), 0)
     assert rotation_error_deg(start.R, scene.R) < 0.5
     np.testing.assert_allclose(joint.parameters(start)[[0, 6]], [0.0, 0.6], atol=1e-9)

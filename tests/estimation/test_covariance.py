@@ -87,11 +87,11 @@ def test_a_camera_that_is_not_fitted_moves_the_pose():
         problem = normalised_problem(*points, 4 * SCALE)
         scale = pose_loss_width(problem, scene.R, scene.t)
         pose = Hypothesis.of_pose(problem, *least_squares_pose(problem, scene.R, scene.t, scale))
-        covariance, of_cameras = pose_covariance(problem, pose, prior, fitted=False)
+        covariance, by_cameras = pose_covariance(problem, pose, prior, fitted=False)
         rotations.append(Rotation.from_matrix(pose.R @ scene.R.T).as_rotvec())
         shifts.append(pose.t - scene.t)
         stated.append(covariance - pose_covariance(problem, pose)[0])
-        assert np.sqrt(of_cameras.diagonal()[FOCALS]) == pytest.approx((std, std))
+        assert np.sqrt(by_cameras.diagonal()[FOCALS]) == pytest.approx((std, std))
     drawn = np.cov(np.column_stack([rotations, shifts]).T, bias=True)
     mean = np.mean(stated, axis=0)
     for part in (slice(0, 3), slice(3, 6)):

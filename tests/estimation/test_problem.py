@@ -146,5 +146,5 @@ def test_the_threshold_in_pixels_is_that_of_any_cameras():
     )
     problem = TwoViewProblem.of(scene.matches, wide, long, EstimationOptions(threshold_px=1.7))
     assert problem.threshold_px == pytest.approx(1.7)
-    loose = problem.of_cameras((replace(wide, lens_std=0.1), long), problem.threshold_px)
+    loose = problem.with_cameras((replace(wide, lens_std=0.1), long), problem.threshold_px)
     assert loose.threshold_px == pytest.approx(1.7)

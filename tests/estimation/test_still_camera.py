@@ -109,7 +109,7 @@ def test_what_a_turn_explains_is_counted_over_all_matches() -> None:
     scene = _turned(12, 3, outliers=0.3)
     stated = (CAMERA.with_focal(1350),) * 2
     problem = TwoViewProblem.of(scene.matches, *stated)
-    free = turned_camera(problem.of_cameras(turning(stated)))
+    free = turned_camera(problem.with_cameras(turning(stated)))
     assert 0.65 * len(problem) < free.count < 0.75 * len(problem)
     assert rotation_error_deg(free.R, scene.R) < 0.3
     assert turned_camera(problem).count < 0.6 * free.count
