@@ -1,4 +1,5 @@
-"""Other cameras that two images may have than the stated or assumed ones, with prior log-odds.
+"""Other cameras that two images may have than the assumed ones, with prior log-odds; and wide
+cameras around what is stated or assumed. `stated_changes` has those in place of a K.
 
 An assumed camera has a lens of two radial coefficients, square pixels and its principal point near
 the middle, the same in all of its images.
@@ -9,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -18,12 +18,9 @@ from dgc_pose.cameras.camera import Camera, Part, image_size
 from dgc_pose.cameras.colmap_camera import CYLINDER, FISHEYE, Distortion
 from dgc_pose.cameras.prior import (
     CENTRE_STD,
-    FAR_OFF,
     USUAL_K,
-    from_middle,
     has_picture,
     improbability,
-    is_inner,
     of_part,
     picture_camera,
 )
@@ -41,14 +38,14 @@ _SHAPES = (5 / 4, 4 / 3, 3 / 2, 8 / 5, 16 / 9)  # of sensors: the longer side ov
 _SAME_SHAPE = 0.015  # difference of two shapes' logarithms
 # Prior log-odds of two cameras if the images have one size: without EXIF data, or with the same,
 # where an unknown lens and centre may pass for a zoom.
-_TWO = -2.2
+LOG_ODDS_OF_TWO = -2.2
 _TWO_OF_EXIF = -20.0
 _TWO_LENS_STD = 0.02  # deviation of each lens: one camera's zoom hardly changes its lens
 # Deviations of ln f, of the principal point over the longer side, of the lens and of ln fy / fx: of
 # what a model opens, and of the rest of a K that is contradicted in a part, which is not exact.
-_FOCAL_STD = 0.5
-_CENTRE_STD = 0.05
-_LENS_STD = 0.15
+OPEN_FOCAL_STD = 0.5
+OPEN_CENTRE_STD = 0.05
+OPEN_LENS_STD = 0.15
 _ASPECT_STD = 0.3
 _LOOSE_FOCAL_STD = 0.02
 _LOOSE_LENS_STD = 0.02
@@ -57,19 +54,7 @@ _TURNED_FOCAL_STD = 0.2
 _TURNED_LENS_STD = 0.2
 _TURNED_OPEN_LENS_STD = 0.08  # the same without a K: a plane that moves is no turn
 _CROP_CENTRE_STD = 0.02  # of the principal point of a crop, over the longer side
-# Distance of K's principal point from the middle, over the longer side, from which it is off it.
-_OFF = 0.01
-_LOG_ODDS_OF_CUT = -0.5  # prior log-odds of the middle if K is far from it
-# Deviations of ln f of a scaled copy of the photograph of K, and of the principal point from the
-# middle of a part of it, over the longer side.
-_CUT_FOCAL_STD = 0.2
-_CUT_CENTRE_STD = 0.2
-# Corrected verticals, which are cut too, or a shift lens: prior log-odds, and the deviation of the
-# principal point over the longer side.
-_LOG_ODDS_OF_SHIFT = -11.0
-_SHIFT_CENTRE_STD = 0.1
-_LOG_ODDS_OF_PICTURE = -9.0  # of a usual K that says nothing of its picture
-_OTHER_FOCAL = 0.02  # least relative difference of two K, or of two focal lengths
+OTHER_FOCAL = 0.02  # least relative difference of two K, or of two focal lengths
 
 
 class Variant(NamedTuple):
@@ -102,9 +87,9 @@ def opened(stated: Cameras) -> Cameras:
         changed.append(
             replace(
                 base,
-                focal_std=_FOCAL_STD,
-                centre_std=_CENTRE_STD * max(image_size(camera)),
-                lens_std=_LENS_STD if base.has_radial_lens else 0.0,
+                focal_std=OPEN_FOCAL_STD,
+                centre_std=OPEN_CENTRE_STD * max(image_size(camera)),
+                lens_std=OPEN_LENS_STD if base.has_radial_lens else 0.0,
                 aspect_std=_ASPECT_STD,
                 identity=None,
             )
@@ -117,7 +102,7 @@ def turning(stated: Cameras) -> Cameras:
     another lens. A K that is unusual is as none."""
     if are_stated(stated):
         if max(map(improbability, stated)) < USUAL_K:
-            return _loosened(stated, focal=_TURNED_FOCAL_STD, lens=_TURNED_LENS_STD, one=True)
+            return loosened(stated, focal=_TURNED_FOCAL_STD, lens=_TURNED_LENS_STD, one=True)
         stated = _as_pictured(stated[0]), _as_pictured(stated[1])
     first, second = (
         replace(camera, lens_std=max(camera.lens_std, _TURNED_OPEN_LENS_STD))
@@ -126,6 +111,38 @@ def turning(stated: Cameras) -> Cameras:
         for camera in stated
     )
     return first, second
+
+
+def loosened(
+    cameras: Cameras,
+    *,
+    focal: float = 0.0,
+    centre: float = 0.0,
+    lens: float = 0.0,
+    one: bool | None = None,
+) -> Cameras:
+    """K with these deviations, and small ones of the rest. one: whether both cameras are off by
+    the same; by default, if their focal lengths and sizes are the same."""
+    one = have_one_focal(cameras) if one is None else one
+    changed = []
+    for camera in cameras:
+        centre_std = max(centre, CENTRE_STD) * max(image_size(camera))
+        lens_std = max(camera.lens_std, lens, _LOOSE_LENS_STD)
+        changed.append(
+            replace(
+                camera,
+                focal_std=max(camera.focal_std, focal, _LOOSE_FOCAL_STD),
+                centre_std=max(camera.centre_std, centre_std),
+                lens_std=lens_std if camera.has_radial_lens else 0.0,
+                identity="both" if one else None,
+            )
+        )
+    return changed[0], changed[1]
+
+
+def have_one_focal(cameras: Cameras) -> bool:
+    ratio = abs(math.log(cameras[0].focal / cameras[1].focal))
+    return cameras[0].size == cameras[1].size and ratio < OTHER_FOCAL
 
 
 def _as_pictured(camera: Camera) -> Camera:
@@ -232,7 +249,7 @@ def two(stated: Cameras) -> Iterator[Variant]:
     else:
         first, second = (prior.parts([prior.lines])[0] for prior in priors)
         choices = [(first, second)]
-        odds_of_two = _TWO
+        odds_of_two = LOG_ODDS_OF_TWO
     for part1, part2 in choices:
         odds = odds_of_two + part1.log_weight + part2.log_weight - before.log_weight
         yield Variant((_zoomed(stated[0], part1), _zoomed(stated[1], part2)), odds)
@@ -259,171 +276,7 @@ def _parts(camera: Camera, lines: Sequence[np.ndarray]) -> tuple[Part, Part]:
     return one, other
 
 
-# Models in place of a K
-
-
-def _in_place_of_K(
-    change: Callable[[Cameras], Cameras], log_odds: float
-) -> Callable[[Cameras], Iterator[Variant]]:
-    """The variants of a model that changes two cameras whose K is stated."""
-
-    def variants(stated: Cameras) -> Iterator[Variant]:
-        if are_stated(stated):
-            cameras = change(stated)
-            if cameras[0] is not stated[0] or cameras[1] is not stated[1]:
-                yield Variant(cameras, log_odds)
-
-    return variants
-
-
-def _loosened(
-    cameras: Cameras,
-    *,
-    focal: float = 0.0,
-    centre: float = 0.0,
-    lens: float = 0.0,
-    one: bool | None = None,
-) -> Cameras:
-    """K with these deviations, and small ones of the rest. one: whether both cameras are off by
-    the same; by default, if their focal lengths and sizes are the same."""
-    one = _have_one_focal(cameras) if one is None else one
-    changed = []
-    for camera in cameras:
-        centre_std = max(centre, CENTRE_STD) * max(image_size(camera))
-        lens_std = max(camera.lens_std, lens, _LOOSE_LENS_STD)
-        changed.append(
-            replace(
-                camera,
-                focal_std=max(camera.focal_std, focal, _LOOSE_FOCAL_STD),
-                centre_std=max(camera.centre_std, centre_std),
-                lens_std=lens_std if camera.has_radial_lens else 0.0,
-                identity="both" if one else None,
-            )
-        )
-    return changed[0], changed[1]
-
-
-def _have_one_focal(cameras: Cameras) -> bool:
-    ratio = abs(math.log(cameras[0].focal / cameras[1].focal))
-    return cameras[0].size == cameras[1].size and ratio < _OTHER_FOCAL
-
-
-def _lensed(cameras: Cameras) -> Cameras:
-    """A radial lens that differs from the stated one."""
-    if not any(camera.has_radial_lens for camera in cameras):
-        return cameras
-    return _loosened(cameras, lens=_LENS_STD)
-
-
-def _unlensed(cameras: Cameras) -> Cameras:
-    """Images that are undistorted already."""
-    if all(camera.distortion is None for camera in cameras):
-        return cameras
-    loose = _loosened(cameras)
-    first, second = (replace(camera, distortion=None, lens_std=0.0) for camera in loose)
-    return first, second
-
-
-def _swapped(cameras: Cameras) -> Cameras:
-    """Each image with the K and lens of the other."""
-    first, second = cameras
-    is_same = np.allclose(first.K, second.K, rtol=_OTHER_FOCAL)
-    if first.size != second.size or (is_same and first.distortion == second.distortion):
-        return cameras
-    return _with_K_of(first, second), _with_K_of(second, first)
-
-
-def _with_K_of(camera: Camera, other: Camera) -> Camera:
-    return replace(
-        camera,
-        K=other.K,
-        distortion=other.distortion,
-        focal_std=other.focal_std,
-        centre_std=other.centre_std,
-        lens_std=other.lens_std,
-        aspect_std=other.aspect_std,
-    )
-
-
-def _shifted(stated: Cameras) -> Iterator[Variant]:
-    """The principal point of one image, or of both, far from that of K."""
-    first, second = _loosened(stated, one=False)
-    shifted1, shifted2 = (
-        replace(
-            camera,
-            focal_std=max(camera.focal_std, _CUT_FOCAL_STD),
-            centre_std=max(camera.centre_std, _SHIFT_CENTRE_STD * max(image_size(camera))),
-        )
-        for camera in (first, second)
-    )
-    yield Variant((shifted1, second), _LOG_ODDS_OF_SHIFT)
-    yield Variant((first, shifted2), _LOG_ODDS_OF_SHIFT)
-    yield Variant((shifted1, shifted2), _LOG_ODDS_OF_SHIFT)
-
-
-def centre(stated: Cameras) -> Iterator[Variant]:
-    """A principal point near that of K; far from it, as of corrected verticals; or anywhere, as of
-    a part of the photograph of K."""
-    yield from _near_centre(stated)
-    if _have_K_and_pictures(stated):
-        yield from _shifted(stated)
-    if _may_be_cut(stated):
-        loose = _loosened((_centred(stated[0]), _centred(stated[1])), one=False)
-        first, second = (
-            replace(camera, centre_std=_CUT_CENTRE_STD * max(image_size(camera)))
-            if from_middle(before) > FAR_OFF
-            else camera
-            for before, camera in zip(stated, loose, strict=True)
-        )
-        yield Variant((first, second), _LOG_ODDS_OF_CUT)
-
-
-def middle(stated: Cameras) -> Iterator[Variant]:
-    """The principal point in the middle, as of a frame cut from the photograph of K, or scaled."""
-    if _have_K_and_pictures(stated) and max(map(from_middle, stated)) >= _OFF:
-        cameras = _loosened((_centred(stated[0]), _centred(stated[1])), focal=_CUT_FOCAL_STD)
-        yield Variant(cameras, _LOG_ODDS_OF_CUT if _may_be_cut(stated) else -10.0)
-
-
-def _may_be_cut(stated: Cameras) -> bool:
-    """Whether a K may be that of a larger photograph, or of one of another scale."""
-    if not _have_K_and_pictures(stated):
-        return False
-    return max(map(from_middle, stated)) > FAR_OFF and all(map(is_inner, stated))
-
-
-def _have_K_and_pictures(stated: Cameras) -> bool:
-    return are_stated(stated) and all(map(has_picture, stated))
-
-
-def _centred(camera: Camera) -> Camera:
-    if from_middle(camera) < _OFF:
-        return camera
-    K = camera.K.copy()
-    K[:2, 2] = (np.array(image_size(camera)) - 1) / 2
-    return replace(camera, K=K)
-
-
-def picture(stated: Cameras) -> Iterator[Variant]:
-    """The cameras as without K: one camera, or one for each image."""
-    if not _have_K_and_pictures(stated):
-        return
-    first, second = map(picture_camera, stated)
-    odds = _LOG_ODDS_OF_PICTURE + max(map(improbability, stated))
-    have_one = _have_one_focal(stated)
-    if first.identity == second.identity:
-        yield Variant((first, second), odds + (0.0 if have_one else 2 * _TWO))
-    separate = replace(first, identity=None), replace(second, identity=None)
-    yield Variant(separate, odds + (_TWO if have_one else 0.0))
-
-
 squeezed = _picture_variants(_squeezed, _LOG_ODDS_OF_EDITED)
 off_centre = _picture_variants(_off_centre, _LOG_ODDS_OF_EDITED)
 fisheye = _picture_variants(_wide(Distortion(FISHEYE, (0.0,) * 4), 0.55, 0.35), _LOG_ODDS_OF_WIDE)
 cylinder = _picture_variants(_wide(Distortion(CYLINDER), 0.6, 0.4), _LOG_ODDS_OF_WIDE)
-focal = _in_place_of_K(partial(_loosened, focal=_FOCAL_STD, one=True), -5.5)
-focals = _in_place_of_K(partial(_loosened, focal=_FOCAL_STD, one=False), -8.0)
-lens = _in_place_of_K(_lensed, -5.5)
-_near_centre = _in_place_of_K(partial(_loosened, centre=_CENTRE_STD), -11.0)
-unlensed = _in_place_of_K(_unlensed, -9.0)
-swapped = _in_place_of_K(_swapped, -12.0)

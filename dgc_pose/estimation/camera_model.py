@@ -14,6 +14,7 @@ from typing import Literal
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import camera_changes as changes
 from dgc_pose.estimation import camera_texts as texts
+from dgc_pose.estimation import stated_changes
 from dgc_pose.estimation.camera_changes import Cameras, Variant
 
 ModelName = Literal[
@@ -136,16 +137,16 @@ _MODELS: Mapping[str, CameraModel] = {
         CameraModel("fisheye", changes.fisheye, _if_open(texts.fisheye), focals=_WIDE_FOCALS),
         CameraModel("cylinder", changes.cylinder, _nothing, focals=_WIDE_FOCALS),
         # In place of a K.
-        CameraModel("focal", changes.focal, texts.focal, True),
-        CameraModel("focals", changes.focals, texts.focal, True),
-        CameraModel("lens", changes.lens, texts.lens, True),
-        CameraModel("centre", changes.centre, texts.centre, True),
-        CameraModel("unlensed", changes.unlensed, texts.unlensed, True, focals=(0.0,)),
-        CameraModel("middle", changes.middle, texts.centre, True, focals=(0.0,)),
-        CameraModel("swapped", changes.swapped, texts.swapped, True, focals=(0.0,)),
+        CameraModel("focal", stated_changes.focal, texts.focal, True),
+        CameraModel("focals", stated_changes.focals, texts.focal, True),
+        CameraModel("lens", stated_changes.lens, texts.lens, True),
+        CameraModel("centre", stated_changes.centre, texts.centre, True),
+        CameraModel("unlensed", stated_changes.unlensed, texts.unlensed, True, focals=(0.0,)),
+        CameraModel("middle", stated_changes.middle, texts.centre, True, focals=(0.0,)),
+        CameraModel("swapped", stated_changes.swapped, texts.swapped, True, focals=(0.0,)),
         CameraModel(
             "picture",
-            changes.picture,
+            stated_changes.picture,
             texts.picture,
             True,
             focals=(-0.7, -0.35, 0.0, 0.35, 0.7),
