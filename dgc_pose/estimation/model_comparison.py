@@ -177,7 +177,6 @@ class _Sample:
         return self.width * self.pixels * normalised_pixel(joint.problem.cameras)
 
     def _joint_of(self, cameras: Cameras) -> JointFit:
-        """The fit of other cameras to the sample."""
         return JointFit(self.joint.problem.with_cameras(cameras))
 
     def compared(self, assumed: ModelFit, others: Sequence[ModelFit]) -> list[ModelFit]:

@@ -163,7 +163,6 @@ class Locator:
         whole: bool = False,
         most: int = MAX_IMAGES,
     ) -> Location:
-        """The location of a loaded query."""
         seconds = {"load": load_s}
         start = time.perf_counter()
         same = [n for n in self.model.poses if _same_file(self.model.root / n, Path(image.name))]

@@ -222,7 +222,6 @@ class LocationSearch:
         return float(np.trace(np.linalg.pinv(information + added)))
 
     def _accurate(self) -> bool:
-        """Whether the expected errors suffice."""
         if self.covariance is None or len(self.agreeing) < _MIN_AGREEING or not self._is_located():
             return False
         rotation = error_radius_deg(self.covariance[:3, :3])

@@ -140,8 +140,6 @@ def estimate_rig(
 
 @dataclass(frozen=True, eq=False)
 class _MadeModels:
-    """The models that the cameras are located in."""
-
     models: Sequence[Model]  # the largest first
     batch: Batch | None = None  # that they are made of; None for a finished model
     are_own: bool = False  # whether their images are the cameras' pictures
