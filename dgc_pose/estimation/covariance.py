@@ -14,13 +14,12 @@ import numpy as np
 
 from dgc_pose.estimation.intrinsics_prior import EXACT, IntrinsicsPrior, error_slopes, expanded
 from dgc_pose.estimation.least_squares import (
-    CORRELATED,
-    EFFICIENT,
     KEPT,
     REGULAR,
     block_jackknife,
     cauchy_curvature,
     loss_terms,
+    match_variance,
 )
 from dgc_pose.estimation.problem import Hypothesis, TwoViewProblem, pose_loss_width
 from dgc_pose.estimation.robust_fit import MINIMAL
@@ -53,7 +52,7 @@ def pose_covariance(
     if not fitted:
         slopes = slopes[:, :5]
     width = pose_loss_width(inliers, pose.R, pose.t)
-    variance = CORRELATED * (width / EFFICIENT) ** 2  # of a match; the unit of the information
+    variance = match_variance(width)  # the unit of the information
     information = variance * (prior if fitted else EXACT).information
     # Errors of key points are independent of their neighbours: the blocks show all of them.
     kept = REGULAR if problem.matches.key_points else KEPT

@@ -30,6 +30,7 @@ from dgc_pose.estimation.least_squares import (
     KEPT,
     Slopes,
     block_jackknife,
+    cauchy_losses,
     cauchy_slopes,
     loss_terms,
     minimised,
@@ -227,7 +228,7 @@ def _loss(matched: FixedMatches, errors: np.ndarray, stds: np.ndarray, share: fl
     spread = np.sqrt(np.maximum(stds[:, 0] ** 2 - noise**2, 0))
     along = np.hypot(noise, share * spread)
     scaled = errors * np.column_stack([stds[:, 0] / along, np.ones_like(along)])
-    losses = EFFICIENT**2 / 2 * np.log1p(np.square(scaled / EFFICIENT)).sum(1)
+    losses = CORRELATED * cauchy_losses(scaled, EFFICIENT).sum(1)
     losses += np.log(along * noise / matched.error_px**2)
     return float(matched.weights @ np.minimum(losses, _OUTLIER_LOSS))
 
