@@ -91,12 +91,18 @@ def test_the_finished_pairs_are_on_disk_when_a_later_one_fails(folder, monkeypat
     assert len(rows_of("run")) == 3
 
 
-def test_methods_are_told_other_cameras_and_scored_with_the_true_ones(folder):
-    methods = "true,true:K=auto:shared,true:K_scale=0.8"
-    result = bench("pairs.txt", "--methods", methods, "--limit", "1", "--out", "run")
-    assert result.exit_code == 0, result.stderr
-    assert result.stdout.splitlines()[-4].split()[:4] == "method claimed wrong doubted".split()
-    known, withheld, wrong = rows_of("run")
+def test_methods_get_other_cameras_and_are_scored_with_the_true_ones(folder):
+    rows = []
+    for cameras in (), ("--K", "auto:shared"), ("--K-scale", "0.8"):
+        run = f"run{len(rows)}"
+        result = bench("pairs.txt", "--methods", "true", *cameras, "--limit", "1", "--out", run)
+        assert result.exit_code == 0, result.stderr
+        has_cameras = "method claimed wrong doubted".split() in [
+            line.split()[:4] for line in result.stdout.splitlines()
+        ]
+        assert has_cameras == bool(cameras)
+        rows += rows_of(run)
+    known, withheld, wrong = rows
     assert float(known["rotation_error_deg"]) < 0.1 and float(known["focal1_error"]) == 0
     assert known["doubts_camera"] == "False" and float(withheld["focal1_std"]) > 0
     # The wrong K is found by the matches.
