@@ -104,7 +104,6 @@ def _made(cls: type, values: Mapping[str, Any], path: str) -> Any:
 
 
 def _parameter_type(kind: Any, info: OptionInfo) -> Any:
-    """The type of a parameter of click."""
     if info.type is not None:
         return info.type
     if info.parse is not None:

@@ -66,7 +66,6 @@ def judge(
 
 
 def _calibration(K: Any) -> Calibration:
-    """The calibration of the argument K of `judge`."""
     if isinstance(K, Mapping):
         return Calibration("K", by_name=K)
     if K is None or isinstance(K, str | Path):

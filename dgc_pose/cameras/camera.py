@@ -166,6 +166,16 @@ class Camera:
         )
 
     @property
+    def deviations(self) -> dict[str, float]:
+        """The standard deviations by their names in files."""
+        return {
+            "focal_std": self.focal_std,
+            "centre_std_px": self.centre_std,
+            "lens_std": self.lens_std,
+            "aspect_std": self.aspect_std,
+        }
+
+    @property
     def focal(self) -> float:
         """Mean of the focal lengths along x and y, pixels."""
         return float(self.K[0, 0] + self.K[1, 1]) / 2

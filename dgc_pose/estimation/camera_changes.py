@@ -24,8 +24,8 @@ from dgc_pose.cameras.prior import (
     has_picture,
     improbability,
     is_inner,
-    of_part,
     picture_camera,
+    with_part,
 )
 from dgc_pose.estimation.intrinsics_prior import may_be_crop
 
@@ -206,13 +206,13 @@ def tail(stated: Cameras) -> Iterator[Variant]:
         priors = [camera.focal_prior for camera in stated if camera.focal_prior is not None]
         if len(priors) == 2:
             usual, tail = _parts(stated[0], [prior.lines for prior in priors])
-            first, second = (of_part(camera, tail) for camera in stated)
+            first, second = (with_part(camera, tail) for camera in stated)
             yield Variant((first, second), tail.log_weight - usual.log_weight)
         return
     for number, camera in enumerate(stated):
         if camera.focal_prior is not None:
             usual, tail = _parts(camera, [camera.focal_prior.lines])
-            other = of_part(camera, tail)
+            other = with_part(camera, tail)
             cameras = (stated[0], other) if number else (other, stated[1])
             yield Variant(cameras, tail.log_weight - usual.log_weight)
 
@@ -240,7 +240,7 @@ def two(stated: Cameras) -> Iterator[Variant]:
 
 def _zoomed(camera: Camera, part: Part) -> Camera:
     lens_std = min(camera.lens_std, _TWO_LENS_STD)
-    return replace(of_part(camera, part), identity=None, lens_std=lens_std)
+    return replace(with_part(camera, part), identity=None, lens_std=lens_std)
 
 
 def _is_one(stated: Cameras) -> bool:
@@ -253,7 +253,7 @@ def _parts(camera: Camera, lines: Sequence[np.ndarray]) -> tuple[Part, Part]:
     assert camera.focal_prior is not None
 
     def distance(part: Part) -> float:
-        return abs(math.log(of_part(camera, part).focal / camera.focal))
+        return abs(math.log(with_part(camera, part).focal / camera.focal))
 
     one, other = sorted(camera.focal_prior.parts(lines), key=distance)
     return one, other

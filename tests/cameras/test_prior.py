@@ -13,8 +13,8 @@ from dgc_pose.cameras.prior import (
     SIZE_STD,
     auto_camera,
     auto_cameras,
-    of_part,
     with_lines,
+    with_part,
 )
 from dgc_pose.images.decoding import Exif, Header
 from dgc_pose.images.image import Image
@@ -220,7 +220,7 @@ def test_a_camera_is_the_usual_part_of_its_belief(image: Header) -> None:
     """Beside which there are long lenses, or EXIF data of another image."""
     camera = auto_camera(image)
     usual, tail = camera.focal_prior.usual, camera.focal_prior.tail
-    of_usual = of_part(camera, usual)
+    of_usual = with_part(camera, usual)
     np.testing.assert_allclose(of_usual.K, camera.K, rtol=1e-9)
     assert of_usual.focal_std == camera.focal_std == usual.std
     assert np.exp([usual.log_weight, tail.log_weight]).sum() == pytest.approx(1)
