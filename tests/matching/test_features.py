@@ -21,6 +21,7 @@ from dgc_pose.matching import CorrespondenceMap
 from dgc_pose.matching.cell_consensus import EpipolarBand, likely_cells, propagate
 from dgc_pose.matching.features import (
     MOST_HYPOTHESES,
+    common_views,
     equal_scales,
     feature_matches,
     mutual_neighbours,
@@ -120,7 +121,8 @@ def test_a_rotated_picture_matches_itself(engine: TorchEngine, angle: float) -> 
     second = rotated.pixels()
     grid = _grid(rotated.size)
     guide = _guide(rotated.to_image(grid) + 10, grid, (192, 160), rotated.size)
-    (found,), *_ = feature_matches(engine, Image(pixels), Image(second), guide, ImageCache(), 192)
+    views = common_views(Image(pixels), Image(second), guide, 192)
+    (found,) = feature_matches(engine, ImageCache(), guide, views)
     off = found.points1 - rotated.to_image(found.points2)
     if angle % 90 == 0:
         assert len(found) > 200
@@ -143,7 +145,8 @@ def test_matches_near_the_lines_of_a_hypothesis_are_near_them(engine: TorchEngin
     )
 
     def guided(hypotheses: list[TwoViews]) -> list[Matches]:
-        return feature_matches(engine, first, second, guide, ImageCache(), hypotheses=hypotheses)[0]
+        views = common_views(first, second, guide)
+        return feature_matches(engine, ImageCache(), guide, views, hypotheses)
 
     near = guided([true, wrong])[4:]
     for matches, views in zip(near, (true, wrong), strict=True):
@@ -177,7 +180,7 @@ def test_a_squeezed_picture_matches_itself_once_the_other_is_squeezed(
     guide = _guide(rescale(grid, sizes[1], sizes[0]), grid, *sizes)
     guide.matchability[:] = 0.0
     images = [Image(pixels) for pixels in pictures]
-    every = feature_matches(engine, *images, guide, ImageCache(), hypotheses=[])[0]
+    every = feature_matches(engine, ImageCache(), guide, common_views(*images, guide), [])
     assert len(every) == 4
     counts = []
     for matches in every:
