@@ -7,7 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from dgc_pose.batch.given import HeldMatches, read_given
+from dgc_pose.batch.given import read_given
+from dgc_pose.batch.given.matches import HeldMatches
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pairs import BAD_INPUT, PairRow
 from dgc_pose.batch.run import run_batch

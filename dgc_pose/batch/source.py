@@ -13,7 +13,7 @@ from typing import Literal, cast
 
 import numpy as np
 
-from dgc_pose.batch.given import GivenMatches
+from dgc_pose.batch.given.matches import GivenMatches
 from dgc_pose.cameras.by_image import Calibration, times
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.formats.colmap import read_database

@@ -11,7 +11,8 @@ import pytest
 from given_world import COLMAP_CENTRE, given_world, write_hloc, write_npz, write_with_pycolmap
 from worlds import CAMERA, IMAGE
 
-from dgc_pose.batch.given import GivenMatches, IndexedMatches, read_given
+from dgc_pose.batch.given import read_given
+from dgc_pose.batch.given.matches import GivenMatches, IndexedMatches
 from dgc_pose.errors import InputError
 from dgc_pose.images.decoding import Header
 
