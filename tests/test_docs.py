@@ -13,6 +13,7 @@ import click
 
 import dgc_pose
 from dgc_pose.cli.main import SECTIONS, SUBCOMMANDS, main
+from dgc_pose.estimation.camera_model import MODELS
 from dgc_pose.estimation.status import STATUSES
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -68,6 +69,22 @@ def test_the_help_of_every_command_is_in_the_reference() -> None:
             for option in command.params:
                 if isinstance(option, click.Option) and not option.hidden:
                     assert {*option.opts} <= words, option
+
+
+def test_tables_of_the_code_continue_a_table_of_their_page() -> None:
+    """Each row has as many cells as the heading above the mark; no row stands twice."""
+    hooks = load("hooks")
+    marks = [(page, mark) for page, text in PAGES.items() for mark in hooks.MARK.findall(text)]
+    assert sorted(mark for _, mark in marks) == sorted(hooks.TABLES)
+    for page, mark in marks:
+        above, below = PAGES[page].split(f"<!-- table: {mark} -->")
+        rows = hooks.on_page_markdown(f"<!-- table: {mark} -->").splitlines()
+        heading = above.split("\n\n")[-1].splitlines()[0]
+        assert below.startswith("\n\n") and heading.startswith("|")
+        assert {line.count("|") for line in rows} == {heading.count("|")}
+        assert len({line.split("|")[1] for line in rows}) == len(rows)
+    described = {model.name for model in MODELS.values() if model.opens and model.odds}
+    assert described == MODELS.keys() - {"assumed"}
 
 
 def test_quoted_outputs_are_what_the_tool_prints() -> None:
