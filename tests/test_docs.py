@@ -1,5 +1,7 @@
 """The documentation names what is there: public names, sub-commands, files that are linked."""
 
+import ast
+import configparser
 import importlib.util
 import json
 import re
@@ -13,6 +15,7 @@ import click
 
 import dgc_pose
 from dgc_pose.cli.main import SECTIONS, SUBCOMMANDS, main
+from dgc_pose.estimation.camera_model import MODELS
 from dgc_pose.estimation.status import STATUSES
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -68,6 +71,73 @@ def test_the_help_of_every_command_is_in_the_reference() -> None:
             for option in command.params:
                 if isinstance(option, click.Option) and not option.hidden:
                     assert {*option.opts} <= words, option
+
+
+def test_tables_of_the_code_continue_a_table_of_their_page() -> None:
+    """Each row has as many cells as the heading above the mark; no row stands twice."""
+    hooks = load("hooks")
+    marks = [(page, mark) for page, text in PAGES.items() for mark in hooks.MARK.findall(text)]
+    assert sorted(mark for _, mark in marks) == sorted(hooks.TABLES)
+    for page, mark in marks:
+        above, below = PAGES[page].split(f"<!-- table: {mark} -->")
+        rows = hooks.on_page_markdown(f"<!-- table: {mark} -->").splitlines()
+        heading = above.split("\n\n")[-1].splitlines()[0]
+        assert below.startswith("\n\n") and heading.startswith("|")
+        assert {line.count("|") for line in rows} == {heading.count("|")}
+        assert len({line.split("|")[1] for line in rows}) == len(rows)
+    described = {model.name for model in MODELS.values() if model.opens and model.odds}
+    assert described == MODELS.keys() - {"assumed"}
+
+
+def test_the_picture_of_the_floors_has_the_layers_of_the_linter() -> None:
+    """From above, and on a floor from the left."""
+    settings = configparser.ConfigParser()
+    settings.read(ROOT / "setup.cfg")
+    layers = settings["importlinter:contract:layers"]["layers"]
+    drawn = re.findall(r'class="package">(\w+)<', (DOCS / "floors.svg").read_text("utf-8"))
+    assert ["__main__", *drawn] == re.findall(r"\w+", layers)
+
+
+def test_the_architecture_names_what_is_in_the_code() -> None:
+    """`FILE.py: NAME`, `FILE.py` and `CLASS.METHOD`; names in capitals stand for others."""
+    page = PAGES[DOCS / "architecture.md"]
+    named = re.findall(r"`([\w/]+\.py)(?:: ([\w.]+))?`", page)
+    assert len(named) > 50
+    methods = set[str]()
+    for path, name in named:
+        if "NAME" in path:
+            continue
+        file = next(p for p in (ROOT / "dgc_pose" / path, ROOT / path) if p.is_file())
+        names = defined(file)
+        methods |= names
+        assert not name or name in names, (path, name)
+    assert {*re.findall(r"`([A-Z]\w+\.[a-z_]\w+)`", page)} <= methods
+
+
+def test_the_first_change_of_a_contributor_is_one_line_that_a_test_holds() -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text("utf-8")
+    change = re.search(r"sed -i 's/(\^.*?)/.*' (\S+)", text)
+    failing = re.search(r"FAILED (\S+)::(\w+)", text)
+    assert change is not None and failing is not None
+    code = (ROOT / change[2]).read_text("utf-8")
+    assert len(re.findall(change[1], code, re.MULTILINE)) == 1
+    assert failing[2] in defined(ROOT / failing[1])
+
+
+def defined(path: Path) -> set[str]:
+    """The names at the top of a module, and the methods of its classes as CLASS.METHOD."""
+    names = set[str]()
+    for node in ast.parse(path.read_text("utf-8")).body:
+        if isinstance(node, ast.Assign):
+            names |= {target.id for target in node.targets if isinstance(target, ast.Name)}
+        elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            names.add(node.target.id)
+        elif isinstance(node, ast.FunctionDef | ast.ClassDef):
+            names.add(node.name)
+        if isinstance(node, ast.ClassDef):
+            methods = [item for item in node.body if isinstance(item, ast.FunctionDef)]
+            names |= {f"{node.name}.{method.name}" for method in methods}
+    return names
 
 
 def test_quoted_outputs_are_what_the_tool_prints() -> None:

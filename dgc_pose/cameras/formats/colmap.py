@@ -23,6 +23,7 @@ import numpy as np
 from dgc_pose.cameras import colmap_camera
 from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.formats.opened import CameraFile
 from dgc_pose.cameras.pair_list import PairList
 from dgc_pose.errors import InputError, shortened
 from dgc_pose.geometry.pixels import Size
@@ -53,6 +54,18 @@ _IMAGES = """
 _FILES = ("cameras", "images", "points3D", "rigs", "frames")  # of a model, without endings
 Table = Literal["matches", "two_view_geometries"]  # of a database, with matches by pair
 _MAX_IMAGES = 2**31 - 1  # COLMAP's pair_id is id1 * _MAX_IMAGES + id2
+
+
+def read(file: CameraFile) -> Calibration | None:
+    """The cameras of a model's folder, cameras.txt or cameras.bin, or the camera of a single line
+    without an id; None for another file."""
+    if file.path.is_dir() or file.ending == ".bin":
+        return read_model(file.path)[0]
+    if file.has_data or not is_line(file.lines[0]):
+        return None
+    if file.lines[0].split()[0].isdecimal():
+        return read_model(file.path)[0]
+    return Calibration(common=parse_line(file.lines[0])) if len(file.lines) == 1 else None
 
 
 def is_line(text: str) -> bool:

@@ -11,18 +11,18 @@ import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 
 from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.cameras.camera import Camera, matrix_camera
 from dgc_pose.cameras.colmap_camera import Distortion
+from dgc_pose.cameras.formats.opened import CameraFile
 from dgc_pose.errors import InputError, reason, shortened
 from dgc_pose.geometry.pixels import Size
 from dgc_pose.geometry.rotation import rotation_of_quaternion
+from dgc_pose.system.arrays import read_array
 
 # Names of the matrix and the size in files of OpenCV's programs, ROS, Kalibr, Open3D and Record3D.
 # In ROS, `camera_matrix` and the distortion describe the raw image.
@@ -60,9 +60,25 @@ _OTHER_CAMERA_KEYS = re.compile(
 )
 
 
-def xml_data(node: ElementTree.Element) -> Any:
-    """The values in XML from cv::FileStorage, in the structure of its YAML and JSON."""
-    return {child.tag: xml_data(child) for child in node} if len(node) else node.text
+def read(file: CameraFile) -> Calibration | None:
+    """The cameras of a file with keys, see `keyed_cameras`; None for a file without."""
+    return keyed_cameras(file.data) if isinstance(file.data, Mapping) else None
+
+
+def read_numbers(file: CameraFile) -> Calibration | None:
+    """The camera of a file of only numbers; None for another file."""
+    values: Any
+    if file.ending == ".npy":
+        values = read_array(file.path)
+    elif file.has_data:
+        if isinstance(file.data, Mapping):
+            return None
+        values = file.data
+    else:
+        values = numbers(" ".join(file.lines))
+        if values is None:
+            return None
+    return Calibration(common=numbers_camera(values))
 
 
 def keyed_cameras(data: Mapping[str, Any]) -> Calibration:
@@ -138,17 +154,20 @@ def _size(data: Mapping[str, Any]) -> Size | None:
     return None
 
 
-def read_table(text: str, path: Path) -> Calibration:
-    """Read the cameras of a .csv with the columns name, fx, fy, cx, cy.
+def read_table(file: CameraFile) -> Calibration | None:
+    """The cameras of a .csv with the columns name, fx, fy, cx, cy; None for another file.
 
     Optional columns: width, height, focal_std, centre_std_px, lens_std; camera, equal for images
     taken by one camera; the keys of a lens; and qw, qx, qy, qz, tx, ty, tz of cam_from_world.
     Raises InputError, with the path and line, also if a name has two cameras.
     """
+    if file.ending != ".csv" or file.has_data or numbers(file.lines[0]) is not None:
+        return None
+    path = file.path
     by_name: dict[str, dict[str, str]] = {}
     cameras = {}
     poses = {}
-    for number, row in enumerate(csv.DictReader(text.splitlines()), start=2):
+    for number, row in enumerate(csv.DictReader(file.text.splitlines()), start=2):
         try:
             if any(row.pop(None, ())):
                 raise InputError("more cells than columns")
@@ -168,7 +187,7 @@ def read_table(text: str, path: Path) -> Calibration:
     return Calibration("", cameras, poses=poses)
 
 
-def of_camera(data: Mapping[str, Any]) -> dict[str, Any]:
+def camera_keys(data: Mapping[str, Any]) -> dict[str, Any]:
     """The values whose keys may describe a lens or another camera."""
     names = [key for key in data if _LENS_KEYS.fullmatch(key) or _OTHER_CAMERA_KEYS.fullmatch(key)]
     return {name: data[name] for name in names}

@@ -20,6 +20,7 @@ from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.cameras.camera import Camera, colmap_camera
 from dgc_pose.cameras.colmap_camera import Distortion, intrinsics
 from dgc_pose.cameras.formats.keyed import keyed_camera, numbers, unread
+from dgc_pose.cameras.formats.opened import CameraFile
 from dgc_pose.errors import InputError, reason
 from dgc_pose.geometry.epipolar import essential_from_pose, fundamental_from_essential
 from dgc_pose.geometry.rotation import is_rotation, quaternion_wxyz, rotation_of_quaternion
@@ -34,23 +35,29 @@ _OPENCV = dict.fromkeys(("SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV"), 5)
 _OPENCV |= {f"{kind}FISHEYE": 4 for kind in ("", "SIMPLE_", "RADIAL_", "SIMPLE_RADIAL_", "OPENCV_")}
 
 
-def named_rig(data: Mapping[str, Any], path: Path) -> Calibration | None:
+def read(file: CameraFile) -> Calibration | None:
     """The cameras of a rig by name, in the file's order, and their poses; None for other files.
 
-    Uncalibrated cameras, which caliscope writes, appear only in `rig`. path: for the identity of
-    the cameras. Raises InputError, with the camera's name, for an invalid camera, a pose that is
-    not rigid, and two cameras with one name; and if no camera is calibrated.
+    Uncalibrated cameras, which caliscope writes, appear only in `rig`. Raises InputError, with the
+    camera's name, for an invalid camera, a pose that is not rigid, and two cameras with one name;
+    and if no camera is calibrated.
     """
-    return calibration(_kalibr(data) or _tables(data) or _grouped(data), path)
+    data = file.data
+    if not isinstance(data, Mapping):
+        return None
+    return calibration(_kalibr(data) or _tables(data) or _grouped(data), file.path)
 
 
-def colmap_rig(rigs: Sequence[Any], path: Path) -> Calibration | None:
+def read_colmap(file: CameraFile) -> Calibration | None:
     """The cameras of COLMAP's rig_config.json by the last folder of their image_prefix, and their
-    poses; None for other lists. Several rigs have no common frame, so they get no poses.
+    poses; None for other files. Several rigs have no common frame, so they get no poses.
 
-    Raises as `named_rig` does.
+    Raises as `read` does.
     """
-    if not rigs or not all(isinstance(rig, Mapping) and rig.get("cameras") for rig in rigs):
+    rigs = file.data
+    if not isinstance(rigs, list) or not rigs:
+        return None
+    if not all(isinstance(rig, Mapping) and rig.get("cameras") for rig in rigs):
         return None
     tables = {}
     for camera in (camera for rig in rigs for camera in rig["cameras"]):
@@ -65,12 +72,12 @@ def colmap_rig(rigs: Sequence[Any], path: Path) -> Calibration | None:
             K, lens = intrinsics(str(camera["camera_model_name"]), values)
             table |= {"matrix": K.tolist(), **({} if lens is None else vars(lens))}
         tables[str(prefix)] = table
-    return calibration(tables, path)
+    return calibration(tables, file.path)
 
 
 def calibration(tables: Mapping[str, Mapping[str, Any]], path: Path) -> Calibration | None:
     """The cameras from tables in the form of calibration.toml; None without a table. If all cameras
-    are equal, they are also the common camera. Raises as `named_rig` does."""
+    are equal, they are also the common camera. Raises as `read` does."""
     names = {key: str(table.get("name") or key) for key, table in tables.items()}
     parts: dict[str, Camera] = {}
     poses: dict[str, np.ndarray] = {}
