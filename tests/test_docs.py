@@ -6,12 +6,13 @@ import importlib.util
 import json
 import re
 import shlex
-import subprocess
-import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import click
+import pytest
+from command_line import run
 
 import dgc_pose
 from dgc_pose.cli.main import SECTIONS, SUBCOMMANDS, main
@@ -140,31 +141,24 @@ def defined(path: Path) -> set[str]:
     return names
 
 
-def test_quoted_outputs_are_what_the_tool_prints() -> None:
-    """But for numbers, which differ between processors; `make figures` brings them up to date."""
+def test_quoted_outputs_and_the_first_pose_of_the_readme_are_what_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the repository's folder, but for numbers, which differ between processors (`make figures`
+    brings them up to date); the Python lines have the pose of the command."""
+    monkeypatch.chdir(ROOT)
     figures = load("figures")
     blocks = [block for text in PAGES.values() for block in figures.BLOCK.findall(text)]
-    assert len(blocks) == 2
-    for _, command, block in blocks:
-        assert figures.words(block) == figures.words(figures.output(command))
-
-
-def test_the_first_pose_of_the_readme_runs_as_printed() -> None:
-    """The command and the Python lines, in the repository's folder; both have the same pose."""
+    (_, first, quoted), (_, second, quoted2) = blocks
     section = PAGES[ROOT / "README.md"].split("## A first pose")[1]
-    command = re.search(r"^    dgc-pose (.*?)\n\n", section, re.DOTALL | re.MULTILINE)
-    snippet = re.search(r"```python\n(.*?)```", section, re.DOTALL)
-    assert command is not None and snippet is not None
-    words = shlex.split(command[1].replace("\\\n", ""))
-    by_command, by_python = (
-        subprocess.run(
-            [sys.executable, *arguments], cwd=ROOT, check=True, capture_output=True, text=True
-        ).stdout
-        for arguments in (
-            ["-m", "dgc_pose", *words, "--json", "-"],
-            ["-c", snippet[1] + "print(pose.R.tolist(), pose.t.tolist())"],
-        )
-    )
-    data = json.loads(by_command)
+    assert f"    {first}\n\n" in section
+    done = run(*shlex.split(first)[1:], "--json", tmp_path / "pose.json")
+    assert figures.words(done.stdout.strip()) == figures.words(quoted), done.stderr
+    assert figures.words(figures.output(second)) == figures.words(quoted2)
+    data = json.loads((tmp_path / "pose.json").read_text())
     assert data["success"] and data["probability"] > 0.9
-    assert by_python.splitlines()[-1] == f"{data['R']} {data['t']}"
+    snippet = re.search(r"```python\n(.*?)```", section, re.DOTALL)
+    assert snippet is not None
+    names: dict[str, Any] = {}
+    exec(snippet[1], names)
+    assert (names["pose"].R.tolist(), names["pose"].t.tolist()) == (data["R"], data["t"])
