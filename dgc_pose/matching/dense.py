@@ -106,8 +106,6 @@ def map_features(engine: Engine, cache: ImageCache, *views: View) -> list[MapFea
 
 @dataclass(frozen=True, eq=False)
 class _Thumbnail:
-    """A small copy of an image."""
-
     points: np.ndarray  # (N, 2), centres of the cells inside, in pixels of the image
     pixel: float  # side of the copy's pixels, in pixels of the image
     features: NativeFeatures

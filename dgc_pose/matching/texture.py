@@ -207,7 +207,7 @@ def _likeness(
         shown = within(place, sides1) & view1.shows(points)
         wanted = features2.middle.reshape(len(centres), -1)[chosen[shown]]
         places = random[rng.integers(len(random), size=(_PLACES, len(wanted)))]
-        elsewhere = [_best(features1.middle, wanted, of) for of in places]
+        elsewhere = [_best(features1.middle, wanted, other) for other in places]
         result.append(_best(features1.middle, wanted, place[shown]) - np.mean(elsewhere, 0))
     return result
 

@@ -63,10 +63,12 @@ def _camera(data: Mapping[str, Any]) -> Camera | None:
     width = data.get("w")
     height = data.get("h")
     size = None if width is None or height is None else (int(width), int(height))
-    fx, fy = (_focal(data, axis, size and size[side]) for side, axis in enumerate("xy"))
-    fx, fy = fx or fy, fy or fx
+    along_x, along_y = (_focal(data, axis, size and size[side]) for side, axis in enumerate("xy"))
+    fx = along_x or along_y
+    fy = along_y or along_x
     if fx is None or fy is None:
         return None
+
     if size is None and not ("cx" in data and "cy" in data):
         raise InputError("neither cx and cy nor w and h")
     middle = (size[0] / 2, size[1] / 2) if size else (0, 0)
