@@ -164,6 +164,7 @@ def read_table(file: CameraFile) -> Calibration | None:
     """
     if file.ending != ".csv" or file.has_data or numbers(file.lines[0]) is not None:
         return None
+
     path = file.path
     by_name: dict[str, dict[str, str]] = {}
     cameras = {}
@@ -183,6 +184,7 @@ def read_table(file: CameraFile) -> Calibration | None:
             raise InputError(path, f"has no column {error}") from None
         except (InputError, TypeError, ValueError, OverflowError) as error:
             raise InputError(path, f"line {number}: {reason(error)}") from None
+
     if not cameras:
         raise InputError(path, "has no cameras")
     return Calibration("", cameras, poses=poses)

@@ -31,10 +31,12 @@ def read(file: CameraFile) -> Calibration | None:
     data = file.data
     if not isinstance(data, Mapping) or _KEYS.isdisjoint(data):
         return None
+
     shared = {key: value for key, value in data.items() if key != "frames"}
     common = _camera(shared)
     if common is not None:
         common = replace(common, identity=str(file.path))
+
     by_name = {}
     poses = {}
     for frame in data.get("frames", ()):
@@ -50,6 +52,7 @@ def read(file: CameraFile) -> Calibration | None:
         if camera is not None:
             is_common = common is not None and _facts(camera) == _facts(common)
             by_name[name] = common if common is not None and is_common else camera
+
     if common is None and not by_name:
         raise InputError("has neither fl_x nor camera_angle_x with w")
     return Calibration("", by_name, common=common, poses=poses)

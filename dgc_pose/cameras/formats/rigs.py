@@ -96,10 +96,12 @@ def calibration(tables: Mapping[str, Mapping[str, Any]], path: Path) -> Calibrat
         parts[name] = replace(camera, identity=f"{path} {name}")
         if pose is not None:
             poses[name] = pose
+
     if not parts:
         if not tables:
             return None
         raise InputError(f"no matrix of {', '.join(names.values())}")
+
     by_name = {key: parts[name] for key, name in names.items() if name in parts} | parts
     kinds = {(camera.K.tobytes(), camera.distortion) for camera in parts.values()}
     is_one = len(kinds) == 1 and len(parts) == len(tables)
