@@ -45,7 +45,7 @@ _TWO_FOCALS = {
 class OwnLens(NamedTuple):
     """A lens that is computed without pycolmap."""
 
-    count: int  # of its coefficients
+    coefficients: int  # their number
     # The functions of `Distortion`, of points (N, 2) float64 and the coefficients.
     undo: Callable[[np.ndarray, Sequence[float]], np.ndarray]
     apply: Callable[[np.ndarray, Sequence[float]], np.ndarray]
@@ -54,14 +54,14 @@ class OwnLens(NamedTuple):
     projection: Projection | None = None
 
 
-def _radial_lens(projection: Projection, count: int) -> OwnLens:
+def _radial_lens(projection: Projection, coefficients: int) -> OwnLens:
     def undo(points: np.ndarray, coefficients: Sequence[float]) -> np.ndarray:
         return unprojected(undistorted(points, _first_two(coefficients)), projection)
 
     def apply(points: np.ndarray, coefficients: Sequence[float]) -> np.ndarray:
         return distorted(projected(points, projection), _first_two(coefficients))
 
-    return OwnLens(count, undo, apply, projection)
+    return OwnLens(coefficients, undo, apply, projection)
 
 
 def _first_two(coefficients: Sequence[float]) -> tuple[float, float]:
@@ -94,7 +94,7 @@ class Distortion:
     def __post_init__(self) -> None:
         names = ""
         own = _OWN.get(self.model)
-        expected = -1 if own is None else own.count
+        expected = -1 if own is None else own.coefficients
         if len(self.coefficients) != expected:
             camera = _model(self.model)
             names = camera.params_info

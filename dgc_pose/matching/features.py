@@ -166,11 +166,13 @@ def _neighbours(
     view1, source = first
     view2, target = second
     guided = _guided_cells(dense, first, second)
+
     coarse = None
     middle = None
     if hypothesis is not None:
         coarse = EpipolarBand(hypothesis, first, second, children=False).all()
         middle = EpipolarBand(hypothesis, first, second, children=True)
+
     candidates = likely_cells(
         source,
         target,
@@ -182,10 +184,12 @@ def _neighbours(
     )
     candidates = np.concatenate([candidates, guided], 1)
     cells1, cells2, cosine = mutual_neighbours(source, target, candidates, middle)
+
     fine1, fine2 = subcell_points(source.fine, target.fine, cells1, cells2)
     points1 = view1.to_image(fine1, source.fine.shape[1::-1])
     points2 = view2.to_image(fine2, target.fine.shape[1::-1])
     inside = view1.shows(points1) & view2.shows(points2)
+
     area1, area2 = (  # area of a cell of stride 4, pixels of the original
         math.prod(view.size) / math.prod(features.fine.shape[:2]) / view.scale**2
         for view, features in (first, second)

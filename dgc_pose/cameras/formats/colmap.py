@@ -105,9 +105,11 @@ def read_model(path: Path, whole: bool = False) -> tuple[Calibration, pycolmap.R
         if not files:
             raise InputError(path, "holds no cameras.txt and no cameras.bin")
         path = files[0]
+
     is_text = path.suffix.lower() != ".bin"
     wanted = {stem: path.with_name(stem + (".txt" if is_text else ".bin")) for stem in _FILES}
     wanted |= {"cameras": path}
+
     with read_as("a COLMAP model", path.parent), scratch_folder() as scratch:
         for stem, file in wanted.items():
             copy = scratch / f"{stem}{'.txt' if is_text else '.bin'}"
@@ -124,10 +126,12 @@ def read_model(path: Path, whole: bool = False) -> tuple[Calibration, pycolmap.R
                 copy.write_text(text, encoding="utf-8")
             else:
                 copy.symlink_to(file.absolute())
+
         checks = {} if is_text else {"cameras": _camera_bytes, "images": _image_bytes}
         for stem, item_bytes in checks.items():
             with read_as(f"COLMAP's {stem}", wanted[stem]):
                 _require_whole(read_bytes(scratch / f"{stem}.bin"), item_bytes)
+
         model = pycolmap.Reconstruction(scratch)
         for image in model.images.values() if is_text else ():
             image.name = unquote(image.name)

@@ -140,8 +140,9 @@ def keyed_camera(data: Any, key: str | None = None) -> Camera:
 
 
 def _unread_warning(others: Sequence[str]) -> tuple[str, ...]:
-    """A warning that names the unread keys; empty if there are none."""
-    return (f"keys that may change K are not read: {shortened(', '.join(others))}",) * bool(others)
+    if not others:
+        return ()
+    return (f"keys that may change K are not read: {shortened(', '.join(others))}",)
 
 
 def _size(data: Mapping[str, Any]) -> Size | None:
@@ -163,6 +164,7 @@ def read_table(file: CameraFile) -> Calibration | None:
     """
     if file.ending != ".csv" or file.has_data or numbers(file.lines[0]) is not None:
         return None
+
     path = file.path
     by_name: dict[str, dict[str, str]] = {}
     cameras = {}
@@ -182,6 +184,7 @@ def read_table(file: CameraFile) -> Calibration | None:
             raise InputError(path, f"has no column {error}") from None
         except (InputError, TypeError, ValueError, OverflowError) as error:
             raise InputError(path, f"line {number}: {reason(error)}") from None
+
     if not cameras:
         raise InputError(path, "has no cameras")
     return Calibration("", cameras, poses=poses)
@@ -189,8 +192,11 @@ def read_table(file: CameraFile) -> Calibration | None:
 
 def camera_keys(data: Mapping[str, Any]) -> dict[str, Any]:
     """The values whose keys may describe a lens or another camera."""
-    names = [key for key in data if _LENS_KEYS.fullmatch(key) or _OTHER_CAMERA_KEYS.fullmatch(key)]
-    return {name: data[name] for name in names}
+    return {
+        key: value
+        for key, value in data.items()
+        if any(keys.fullmatch(key) for keys in (_LENS_KEYS, _OTHER_CAMERA_KEYS))
+    }
 
 
 def unread(data: Mapping[str, Any], *read: str | None) -> list[str]:
@@ -237,16 +243,33 @@ def _lens(data: Mapping[str, Any]) -> tuple[Distortion | None, Sequence[str]]:
         model = model if named == "OPENCV" else named
     if model == "none":
         return None, _MODEL_KEYS
-    keys = [key for key in data if _LIST.fullmatch(str(key)) and any(numbers(data[key]) or ())][:1]
-    coefficients = [number for key in keys for number in numbers(data[key]) or ()]
-    if not keys:  # one by one
-        singles = {key: numbers(data.get(key)) for key in _SINGLE.get(model, ())}
-        keys = [key for key, held in singles.items() if held is not None and len(held) < 2]
-        coefficients = [(singles[k] or [0.0])[0] if k in keys else 0.0 for k in singles]
+
+    keys, coefficients = _listed(data) or _single(data, model)
     read = (*_MODEL_KEYS, *keys)
     if model == "OPENCV":
         return _opencv_lens(coefficients, keys), read
     return Distortion(model, tuple(coefficients)), read
+
+
+def _listed(data: Mapping[str, Any]) -> tuple[list[str], list[float]] | None:
+    """The first key of a list of coefficients that are not all zero, and these."""
+    for key, value in data.items():
+        coefficients = numbers(value) if _LIST.fullmatch(str(key)) else None
+        if coefficients and any(coefficients):
+            return [key], coefficients
+    return None
+
+
+def _single(data: Mapping[str, Any], model: str) -> tuple[list[str], list[float]]:
+    """The keys of the coefficients one by one, and these, 0 for a key that is not there."""
+    keys = []
+    coefficients = []
+    for key in _SINGLE.get(model, ()):
+        held = numbers(data.get(key))
+        is_single = held is not None and len(held) < 2
+        keys += [key] if is_single else []
+        coefficients.append(held[0] if held and is_single else 0.0)
+    return keys, coefficients
 
 
 def _opencv_lens(coefficients: Sequence[float], keys: Sequence[str]) -> Distortion | None:

@@ -31,10 +31,12 @@ def read(file: CameraFile) -> Calibration | None:
     data = file.data
     if not isinstance(data, Mapping) or _KEYS.isdisjoint(data):
         return None
+
     shared = {key: value for key, value in data.items() if key != "frames"}
     common = _camera(shared)
     if common is not None:
         common = replace(common, identity=str(file.path))
+
     by_name = {}
     poses = {}
     for frame in data.get("frames", ()):
@@ -50,6 +52,7 @@ def read(file: CameraFile) -> Calibration | None:
         if camera is not None:
             is_common = common is not None and _facts(camera) == _facts(common)
             by_name[name] = common if common is not None and is_common else camera
+
     if common is None and not by_name:
         raise InputError("has neither fl_x nor camera_angle_x with w")
     return Calibration("", by_name, common=common, poses=poses)
@@ -63,10 +66,12 @@ def _camera(data: Mapping[str, Any]) -> Camera | None:
     width = data.get("w")
     height = data.get("h")
     size = None if width is None or height is None else (int(width), int(height))
-    fx, fy = (_focal(data, axis, size and size[side]) for side, axis in enumerate("xy"))
-    fx, fy = fx or fy, fy or fx
+    along_x, along_y = (_focal(data, axis, size and size[side]) for side, axis in enumerate("xy"))
+    fx = along_x or along_y
+    fy = along_y or along_x
     if fx is None or fy is None:
         return None
+
     if size is None and not ("cx" in data and "cy" in data):
         raise InputError("neither cx and cy nor w and h")
     middle = (size[0] / 2, size[1] / 2) if size else (0, 0)
