@@ -52,9 +52,9 @@ def save(path: Path, pixels: np.ndarray, format: str = "", **more: Any) -> Path:
     if format == "HEIF":
         pytest.importorskip("pillow_heif").register_heif_opener()
         more |= {"quality": -1, "chroma": 444}
-    elif format == "WEBP":
-        more |= {"lossless": True}
-    PIL.Image.fromarray(pixels).save(path, format, **{"quality": 100, **more})
+    else:
+        more |= {"lossless": True} if format == "WEBP" else {"quality": 100}
+    PIL.Image.fromarray(pixels).save(path, format, **more)
     return path
 
 
