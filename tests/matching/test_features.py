@@ -142,8 +142,10 @@ def test_matches_near_the_lines_of_a_hypothesis_are_near_them(engine: TorchEngin
         TwoViews(camera, camera, dense_scene.R, t) for t in (dense_scene.T, np.array([0.0, 1, 0]))
     )
 
+    cache = ImageCache()
+
     def guided(hypotheses: list[TwoViews]) -> list[Matches]:
-        return feature_matches(engine, first, second, guide, ImageCache(), hypotheses=hypotheses)[0]
+        return feature_matches(engine, first, second, guide, cache, hypotheses=hypotheses)[0]
 
     near = guided([true, wrong])[4:]
     for matches, views in zip(near, (true, wrong), strict=True):
