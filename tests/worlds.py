@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pycolmap
+from scenes import TwoViewScene, two_views
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.cameras.camera import Camera
@@ -168,16 +169,20 @@ class WorldScene:
         seen = (self.points - centre) @ R.T
         return camera.project(seen[:, :2] / seen[:, 2:])
 
-    def matches(self, number: int, *, outliers: float = 0.2, seed: int = 0) -> Matches:
-        """Of a reference and the photograph, with errors."""
+    def seen(self, number: int, *, outliers: float = 0.2, seed: int = 0) -> TwoViewScene:
+        """By a reference and the photograph, with errors."""
+        R, centre = self.references[number]
+        pose = self.R @ R.T, self.R @ (centre - self.centre)
+        cameras = CAMERA, PHOTO_CAMERA
         rng = np.random.default_rng((seed, number))
-        points1 = self.pixels(CAMERA, *self.references[number])
-        points2 = self.pixels(PHOTO_CAMERA, self.R, self.centre)
-        points1 += rng.normal(0, NOISE_PX, points1.shape)
-        points2 += rng.normal(0, NOISE_PX, points2.shape)
-        wrong = rng.random(len(points1)) < outliers
-        points2[wrong] = rng.uniform(0, IMAGE, (wrong.sum(), 2))
-        return Matches(points1, points2, np.ones(len(points1)), 2 * NOISE_PX)
+        points = (self.points - centre) @ R.T
+        scene = two_views(points, cameras, pose, rng, sigma_px=NOISE_PX, everywhere=True)
+        wrong = rng.random(len(points)) < outliers
+        scene.points2[wrong] = rng.uniform(0, IMAGE, (wrong.sum(), 2))
+        return replace(scene, matches=replace(scene.matches, error_px=2 * NOISE_PX))
+
+    def matches(self, number: int, *, outliers: float = 0.2, seed: int = 0) -> Matches:
+        return self.seen(number, outliers=outliers, seed=seed).matches
 
     def pair_pose(
         self, number: int, seed: int = 0, probability: float | None = 0.98
@@ -189,11 +194,10 @@ class WorldScene:
     def sight(
         self, number: int, seed: int = 0, photo: Camera = PHOTO_CAMERA
     ) -> PairCorrespondences:
-        R, centre = self.references[number]
-        problem = TwoViewProblem.of(self.matches(number, seed=seed), CAMERA, photo, OPTIONS)
-        t = self.R @ (centre - self.centre)
-        hypothesis = Hypothesis.of_pose(problem, self.R @ R.T, t / np.linalg.norm(t))
-        return PairCorrespondences(R, centre, problem, [hypothesis])
+        scene = self.seen(number, seed=seed)
+        problem = TwoViewProblem.of(scene.matches, CAMERA, photo, OPTIONS)
+        hypothesis = Hypothesis.of_pose(problem, scene.R, scene.t)
+        return PairCorrespondences(*self.references[number], problem, [hypothesis])
 
     @property
     def pose(self) -> WorldPose:

@@ -168,13 +168,14 @@ def _folder(out, true, priors=None):
     names = tuple(f"{i}.png" for i in range(len(true)))
     priors = priors or {name: _prior(c) for name, c in zip(names, true, strict=True)}
     pairs = np.array(list(combinations(range(len(true)), 2)))
-    worker = Worker(Job(out, priors, {}, MatcherOptions("sift"), EstimationOptions(runs=3), 2**20))
+    worker = Worker(Job(out, priors, {}, MatcherOptions("sift"), EstimationOptions(runs=1), 2**20))
     alone = []
     for k, (i, j) in enumerate(pairs):
         scene = camera_scene(
             true[i],
             true[j],
             seed=k,
+            count=400,
             outliers=0.1,
             turn_deg=TURNS[k % len(TURNS)],
             centre=CENTRES[k % len(CENTRES)],

@@ -11,10 +11,10 @@ import pycolmap
 import pytest
 from bad_pictures import BAD_PICTURES, MISSING, write_bad_pictures
 from batch_runs import run_sift, view_folder
-from results import ambiguous_pose
+from results import ambiguous_pose, pair_row
 from worlds import K, K_text
 
-from dgc_pose.batch.pairs import MatchedPair, PairRow
+from dgc_pose.batch.pairs import MatchedPair
 from dgc_pose.batch.result import Batch, group_name, read_batch, summary_of, write_cameras
 from dgc_pose.batch.run import _with_folder_checks
 from dgc_pose.cameras.calibration import read_calibration
@@ -22,7 +22,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.colmap.database import pair_geometries
 from dgc_pose.errors import InputError
-from dgc_pose.estimation import RelativePose, estimate_pose
+from dgc_pose.estimation import estimate_pose
 
 BROKEN = "broken.png"
 COUNT = 4  # images, one of them broken
@@ -208,13 +208,6 @@ def test_unusable_input(photos, whole, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def _row(first, second, status="ok", inliers=9):
-    posed = {"R": np.eye(3), "t": np.array([0.0, 0, 1])} if status == "ok" else {}
-    kept = np.arange(10) < inliers
-    pose = RelativePose(status, "", kept, 10, **posed)
-    return PairRow(first, second, status, "", pose)
-
-
 def _judged(alone, rows):
     return [pair.row for pair in _with_folder_checks(map(MatchedPair, rows), alone)]
 
@@ -222,27 +215,35 @@ def _judged(alone, rows):
 def test_a_photograph_that_most_pairs_show_as_mirrored_has_no_pose_with_others():
     """m: mirrored in two pairs of three. The others have more poses."""
     alone = [
-        _row("a", "m", "mirrored", 0),
-        _row("b", "m", "mirrored", 0),
-        _row("c", "m"),
-        *(_row(*pair) for pair in ("ab", "ac", "bc")),
+        pair_row("am", "mirrored"),
+        pair_row("bm", "mirrored"),
+        pair_row("cm"),
+        *(pair_row(pair) for pair in ("ab", "ac", "bc")),
     ]
     results = _judged(alone, alone)
     assert [row.status for row in results] == ["mirrored"] * 3 + ["ok"] * 3
     told = results[2]
     assert told.pose is not None and told.pose.R is None and "m" in told.reason
-    assert (told.num_matches, told.num_inliers, results[3].num_inliers) == (10, 0, 9)
+    assert (told.num_matches, told.num_inliers, results[3].num_inliers) == (9, 0, 9)
 
 
 def test_photographs_that_are_all_mirrored_keep_the_poses_between_them():
-    rows = [_row("a", "c", "mirrored", 0), _row("a", "d", "mirrored", 0), _row("c", "d")]
-    rows += [_row("b", "c", "mirrored", 0), _row("b", "d", "mirrored", 0), _row("a", "b")]
+    rows = [
+        pair_row("ac", "mirrored"),
+        pair_row("ad", "mirrored"),
+        pair_row("cd"),
+    ]
+    rows += [
+        pair_row("bc", "mirrored"),
+        pair_row("bd", "mirrored"),
+        pair_row("ab"),
+    ]
     assert _judged(rows, rows) == rows
 
 
 def test_inliers_that_the_cameras_of_the_folder_lose_are_told():
-    alone = [_row("a", "b"), _row("b", "c"), _row("c", "d", "improbable")]
-    rows = [_row("a", "b", inliers=4), _row("b", "c", inliers=5), _row("c", "d", inliers=1)]
+    alone = [pair_row("ab"), pair_row("bc"), pair_row("cd", "improbable", inliers=9)]
+    rows = [pair_row("ab", inliers=4), pair_row("bc", inliers=5), pair_row("cd", inliers=1)]
     lost, kept, refused = _judged(alone, rows)
     assert lost.pose is not None
     assert lost.pose.warnings == ("only 4 of 9 inliers remain with the folder's cameras",)

@@ -144,9 +144,11 @@ def test_matches_near_the_lines_of_a_hypothesis_are_near_them(engine: TorchEngin
         TwoViews(camera, camera, dense_scene.R, t) for t in (dense_scene.T, np.array([0.0, 1, 0]))
     )
 
+    cache = ImageCache()
+
     def guided(hypotheses: list[TwoViews]) -> list[Matches]:
         views = common_views(first, second, guide)
-        return feature_matches(engine, ImageCache(), guide, views, hypotheses)
+        return feature_matches(engine, cache, guide, views, hypotheses)
 
     near = guided([true, wrong])[4:]
     for matches, views in zip(near, (true, wrong), strict=True):
