@@ -67,10 +67,10 @@ def test_the_models_beside_the_assumed_one() -> None:
 
 def test_the_models_in_place_of_a_K() -> None:
     plain = pinhole(1250, SIZE)
-    of_any = {"focal", "focals", "lens", "centre", "picture"}
-    assert _models(plain, plain).keys() == of_any
-    assert _models(USUAL, USUAL).keys() == {*of_any, "unlensed"}
-    assert _models(plain, pinhole(1500, SIZE)).keys() == {*of_any, "swapped"}
+    usual = {"focal", "focals", "lens", "centre", "picture"}
+    assert _models(plain, plain).keys() == usual
+    assert _models(USUAL, USUAL).keys() == {*usual, "unlensed"}
+    assert _models(plain, pinhole(1500, SIZE)).keys() == {*usual, "swapped"}
     assert "swapped" not in _models(plain, pinhole(1500, (1000, 800)))
     off = pinhole(1250, SIZE, centre=(40, 0)), pinhole(1250, SIZE, centre=(100, 0))
     middles = [_models(camera, camera)["middle"][0] for camera in off]
@@ -123,8 +123,8 @@ def test_lines_of_each_image_speak_for_two_cameras() -> None:
         return 3 * np.exp(-(((LOG_FOCALS - np.log(focal)) / 0.1) ** 2) / 2)
 
     def odds(*focals: float) -> float:
-        of_both = by_lines(cameras, [lines(focal) for focal in focals])
-        (model,) = _models(*of_both)["two"]
+        with_lines = by_lines(cameras, [lines(focal) for focal in focals])
+        (model,) = _models(*with_lines)["two"]
         if focals[0] != focals[1]:
             fitted = [camera.focal / 1536 for camera in model.cameras]
             np.testing.assert_allclose(fitted, focals, rtol=0.12)

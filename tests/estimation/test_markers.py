@@ -96,8 +96,8 @@ def test_what_is_no_square_is_left_out() -> None:
     poses, rng = views(4), np.random.default_rng(0)
     seen = [{"a:1": pixels_of(K, pose, right["a:1"])} for pose in poses]
     seen[2]["a:1"] = seen[2]["a:1"] + (25, 10)
-    for of_image in seen:
-        of_image["a:2"] = rng.uniform(100, 400, 2) + pixels_of(K, poses[0], right["a:1"])
+    for markers in seen:
+        markers["a:2"] = rng.uniform(100, 400, 2) + pixels_of(K, poses[0], right["a:1"])
     found = marker_side(seen, [CAMERA] * 4, poses)
     assert found.images == {"a:1": 3} and found.side == pytest.approx(0.15, rel=1e-4)
     kite = square(0.15, (0.1, 0, 2)) * (1, 2, 1)

@@ -41,11 +41,11 @@ def test_the_slopes(lens: tuple[float, float]) -> None:
     gradient = np.random.default_rng(5).standard_normal((2, len(seen)))
     by_seen, by_lens = undistorted_gradient(undistorted(seen, lens), lens, gradient)
     for k, unit in enumerate(step * np.eye(2)):
-        of_point = undistorted(seen + unit, lens) - undistorted(seen - unit, lens)
-        expected = (gradient * of_point.T).sum(0) / (2 * step)
+        by_point = undistorted(seen + unit, lens) - undistorted(seen - unit, lens)
+        expected = (gradient * by_point.T).sum(0) / (2 * step)
         np.testing.assert_allclose(by_seen[k], expected, atol=1e-5)
-        of_lens = undistorted(seen, lens + unit) - undistorted(seen, lens - unit)
-        expected = (gradient * of_lens.T).sum(0) / (2 * step)
+        by_coefficient = undistorted(seen, lens + unit) - undistorted(seen, lens - unit)
+        expected = (gradient * by_coefficient.T).sum(0) / (2 * step)
         np.testing.assert_allclose(by_lens[k], expected, atol=1e-5)
 
 

@@ -57,9 +57,8 @@ def _located(scene: WorldScene, H: np.ndarray) -> Location:
     return search.location()
 
 
-@pytest.mark.parametrize(("tilt_deg", "axis_deg"), [(15, 90), (22, 40), (12, 60)])
-def test_a_slanted_print_of_the_place_is_nowhere(tilt_deg: float, axis_deg: float) -> None:
-    location = _located(world_scene(), _printed(tilt_deg, axis_deg))
+def test_a_slanted_print_of_the_place_is_nowhere() -> None:
+    location = _located(world_scene(), _printed(15, 70))
     assert location.status == "nowhere" and location.R is None
     assert location.reason.startswith("the query looks like a picture of the place: most matches")
     assert not any(image.agrees for image in location.database_images)

@@ -88,16 +88,19 @@ def test_the_adjusted_poses_are_nearer_to_the_truth(
     whole, _, found = adjusted(walk, located, pictures, walk.cameras)
     errors = []
     for name, (true, near) in cameras.items():
-        of, image = found[name], whole.find_image_with_name(pictures[name].name)
-        for each in (near, of):
+        location = found[name]
+        image = whole.find_image_with_name(pictures[name].name)
+        for each in (near, location):
             off = np.linalg.norm(each.centre - true.centre)
             errors.append((rotation_error_deg(each.R, true.R), off))
-        np.testing.assert_allclose(image.cam_from_world().matrix(), of.cam_from_world, atol=1e-12)
-        assert image.num_points3D > 60 and of.camera.exact == exact
+        np.testing.assert_allclose(
+            image.cam_from_world().matrix(), location.cam_from_world, atol=1e-12
+        )
+        assert image.num_points3D > 60 and location.camera.exact == exact
         # A principal point that is not known by 2 pixels turns the camera.
-        assert errors[-1][0] < of.rotation_error_90_deg < (0.1 if exact else 0.5)
-        assert errors[-1][1] < of.position_error_90
-        np.testing.assert_allclose(of.camera.K, CAMERA.K, atol=1e-9 if exact else 1.5)
+        assert errors[-1][0] < location.rotation_error_90_deg < (0.1 if exact else 0.5)
+        assert errors[-1][1] < location.position_error_90
+        np.testing.assert_allclose(location.camera.K, CAMERA.K, atol=1e-9 if exact else 1.5)
     before, after = (np.mean(errors[first::2], axis=0) for first in (0, 1))
     assert after[0] < (0.4 if exact else 0.7) * before[0]
     assert after[1] < (0.4 if exact else 1.5) * before[1]  # a focal length trades with the centre

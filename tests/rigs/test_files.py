@@ -234,7 +234,7 @@ def test_cameras_that_stayed_did_not_move() -> None:
     assert {(change.angle_error_deg, change.focal_change) for change in changes} == {(0, None)}
 
 
-def test_of_two_cameras_the_second_is_relative_to_the_first() -> None:
+def test_the_second_of_two_cameras_is_relative_to_the_first() -> None:
     before = poses(2)
     (unmoved,) = compared(stated(before), located(before), {})
     assert (unmoved.name, unmoved.relative_to, unmoved.moved) == ("cam1", "cam0", False)

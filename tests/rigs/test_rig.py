@@ -55,8 +55,8 @@ def walk_model(folder: Path, second: str = "view1.png") -> Model:
     """Three photographs with their true poses."""
     model = known_model(folder, render_views(3, step=0.8))
     (folder / "view1.png").rename(folder / second)
-    for of_images in (model.poses, model.cameras):
-        of_images[second] = of_images.pop("view1.png")
+    for facts in (model.poses, model.cameras):
+        facts[second] = facts.pop("view1.png")
     return model
 
 
@@ -64,12 +64,12 @@ def assert_true(rig: Rig, names: str, frame: pycolmap.Sim3d) -> None:
     """The placed cameras are where they were rendered, within three times the stated errors.
     frame: from the world to that of the rig."""
     assert [*rig.placed] == names.split(), rig.cameras
-    for name, of in rig.placed.items():
-        off_deg = rotation_error_deg(of.R @ frame.rotation.matrix(), TRUE[name][0])
-        assert off_deg < 3 * of.rotation_error_90_deg < 6
-        off = np.linalg.norm(of.centre - frame * np.array(TRUE[name][1]))
-        assert off < 3 * of.position_error_90 < frame.scale
-        assert of.camera.size == SIZE and of.probability > 0.9
+    for name, camera in rig.placed.items():
+        off_deg = rotation_error_deg(camera.R @ frame.rotation.matrix(), TRUE[name][0])
+        assert off_deg < 3 * camera.rotation_error_90_deg < 6
+        off = np.linalg.norm(camera.centre - frame * np.array(TRUE[name][1]))
+        assert off < 3 * camera.position_error_90 < frame.scale
+        assert camera.camera.size == SIZE and camera.probability > 0.9
 
 
 @pytest.fixture(scope="module")
@@ -102,10 +102,10 @@ def test_the_model_is_written_but_not_over_another(placed: tuple[Path, Rig]) -> 
     out = folder / "out"
     assert {path.name for path in out.iterdir()} == RESULTS
     model = load_model(out / "sparse", rig.model.root)
-    for name, of in rig.placed.items():
+    for name, camera in rig.placed.items():
         stored = f"out/rig_pictures/cameras/{name}.png"
-        np.testing.assert_allclose(model.poses[stored], of.cam_from_world, atol=1e-9)
-        np.testing.assert_allclose(model.cameras[stored].K, of.camera.K, atol=1e-9)
+        np.testing.assert_allclose(model.poses[stored], camera.cam_from_world, atol=1e-9)
+        np.testing.assert_allclose(model.cameras[stored].K, camera.camera.K, atol=1e-9)
     assert sum(name.startswith("walk/") for name in model.poses) == 3 and len(model.poses) == 5
     with pytest.raises(InputError, match="sparse exists already: resume continues"):
         estimate_rig(folder / "frames", out, folder / "walk", **QUICK)
@@ -191,7 +191,7 @@ def test_cameras_that_share_nothing_have_no_place(tmp_path: Path) -> None:
     frames = write_cameras(tmp_path / "frames", "north", "zoo")
     rig = estimate_rig(frames, tmp_path / "out", K={"north": K, "zoo": K}, **QUICK)
     assert rig.model is None and not rig.placed and [*rig.cameras] == ["north", "zoo"]
-    assert all("photographs" in of.reason for of in rig.cameras.values())
+    assert all("photographs" in camera.reason for camera in rig.cameras.values())
 
 
 @pytest.mark.parametrize("walked", [False, True])
@@ -255,9 +255,9 @@ def frame_of(poses: dict[str, np.ndarray], true: dict[str, np.ndarray]) -> pycol
     """From the world to a model's frame, by all rotations and the spread of the centres."""
     turns = [poses[n][:, :3].T @ true[n][:, :3] for n in true]
     turn = Rotation.from_matrix(turns).mean().as_matrix()
-    of = [np.stack([-p[n][:, :3].T @ p[n][:, 3] for n in true]) for p in (true, poses)]
-    before, after = (float(np.linalg.norm(at - at.mean(0))) for at in of)
-    shift = of[1].mean(0) - after / before * turn @ of[0].mean(0)
+    centres = [np.stack([-p[n][:, :3].T @ p[n][:, 3] for n in true]) for p in (true, poses)]
+    before, after = (float(np.linalg.norm(at - at.mean(0))) for at in centres)
+    shift = centres[1].mean(0) - after / before * turn @ centres[0].mean(0)
     return pycolmap.Sim3d(after / before, pycolmap.Rotation3d(turn), shift)
 
 
