@@ -96,6 +96,19 @@ def pair_row(
     return row_of((names[0], names[1]), pose, 0.5)
 
 
+def exif_camera(identity: str | None = "x") -> Camera:
+    """Of 100 x 80 pixels, by EXIF data."""
+    return Camera(
+        np.array([110.0, 110, 49.5, 39.5]),
+        (100, 80),
+        focal_std=0.4,
+        centre_std=5.0,
+        lens_std=0.1,
+        focal_source="exif",
+        identity=identity,
+    )
+
+
 def camera() -> Camera:
     """Of all views of `worlds`."""
     return Camera(K, SIZE)

@@ -21,12 +21,6 @@ COUNT = 4
 LAST = f"view{COUNT - 1}.png"
 
 
-@pytest.fixture(scope="module")
-def whole(views, tmp_path_factory):
-    """An uninterrupted batch."""
-    return run_sift(views, tmp_path_factory.mktemp("whole") / "out").folder
-
-
 @pytest.fixture
 def photos(views, tmp_path):
     """A copy of the views, to change."""

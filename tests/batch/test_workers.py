@@ -150,7 +150,7 @@ def test_what_a_worker_raises_is_raised_here(views, monkeypatch):
 
 
 def test_on_ray_the_result_is_the_same_and_an_actor_that_ends_ends_the_batch(
-    views, tmp_path, monkeypatch
+    views, whole, tmp_path, monkeypatch
 ):
     """The batch resumes after that. A cluster that was there before stays."""
     ray = pytest.importorskip("ray")
@@ -167,7 +167,6 @@ def test_on_ray_the_result_is_the_same_and_an_actor_that_ends_ends_the_batch(
             self.done = 1
             return self.worker.do(*task)
 
-    run_sift(views, tmp_path / "local", workers=2)
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
     try:
         out = tmp_path / "ray"
@@ -176,13 +175,13 @@ def test_on_ray_the_result_is_the_same_and_an_actor_that_ends_ends_the_batch(
             run_sift(views, out, workers=2, start_workers=ray_workers)
         batch = run_sift(views, out, workers=2, start_workers=ray_workers, resume=True)
         assert 0 < batch.summary["matched_now"] < 6
-        assert_same_result(tmp_path / "local", out)
+        assert_same_result(whole, out)
         assert ray.is_initialized()
     finally:
         ray.shutdown()
 
 
-def test_the_engine_starts_the_workers_and_ray_is_asked_for(views, tmp_path, monkeypatch):
+def test_the_engine_starts_the_workers_and_ray_is_asked_for(views, whole, tmp_path, monkeypatch):
     """Without Ray too: nothing is written where it is missing."""
     started = []
 
@@ -195,9 +194,10 @@ def test_the_engine_starts_the_workers_and_ray_is_asked_for(views, tmp_path, mon
     with monkeypatch.context() as patch:
         patch.setattr("dgc_pose.batch.run.ray_workers", start)
         run_sift(views, tmp_path / "ray", engine="ray", workers=3)
-        run_sift(views, tmp_path / "local", engine="local")
+        run_sift(views, tmp_path / "local", engine="local", workers=2)
     assert started == [3]
-    assert_same_result(tmp_path / "ray", tmp_path / "local")
+    for folder in ("ray", "local"):
+        assert_same_result(tmp_path / folder, whole)
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(DgcPoseError, match="ray"):
         run_sift(views, tmp_path / "none", engine="ray")

@@ -100,7 +100,8 @@ def test_the_command_from_folder_to_model(
 def test_the_command_without_K(views: tuple[Path, list[View]], tmp_path: Path) -> None:
     """The camera is that of the rendering, also in the summary, and so are the positions."""
     out = tmp_path / "out"
-    result = run("reconstruct", views[0], "--out", out, "--K", "auto", *SIFT, "--workers", 1)
+    words = ("--out", out, "--K", "auto", "--pairs", "sequential:2")
+    result = run("reconstruct", views[0], *words, *SIFT)
     assert result.exit_code == 0
     (camera,) = json.loads((out / "summary.json").read_text())["cameras"]
     assert (camera["model"], camera["images"]) == ("RADIAL", COUNT)

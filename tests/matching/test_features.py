@@ -7,8 +7,6 @@ import cv2
 import dense_scene
 import numpy as np
 import pytest
-import torch
-import torch.nn.functional as F
 
 from dgc_pose.cameras.camera import Camera, TwoViews
 from dgc_pose.geometry.epipolar import sampson_distance
@@ -53,11 +51,9 @@ def _random(seed: int, rows: int, columns: int) -> NativeFeatures:
     )
 
 
-def _picture(width: int, height: int, seed: int = 0) -> np.ndarray:
-    noise = np.random.default_rng(seed).random((height // 8, width // 8, 3), np.float32)
-    planes = torch.from_numpy(noise).permute(2, 0, 1)[None]
-    smooth = F.interpolate(planes, (height, width), mode="bicubic", align_corners=False)
-    return (255 * smooth[0].permute(1, 2, 0)).clamp(0, 255).byte().contiguous().numpy()
+def _picture(width: int, height: int) -> np.ndarray:
+    noise = np.random.default_rng(0).integers(0, 256, (height // 8, width // 8, 3), np.uint8)
+    return cv2.resize(noise, (width, height), interpolation=cv2.INTER_CUBIC)
 
 
 def _guide(points1: np.ndarray, grid: np.ndarray, size1: tuple, size2: tuple) -> CorrespondenceMap:
@@ -65,11 +61,6 @@ def _guide(points1: np.ndarray, grid: np.ndarray, size1: tuple, size2: tuple) ->
     return CorrespondenceMap(
         points1.astype(np.float32), grid.astype(np.float32), matchability, size1, size2
     )
-
-
-def _grid(size: tuple[int, int], cells: int = 60) -> np.ndarray:
-    axes = [(np.arange(cells) + 0.5) * side / cells - 0.5 for side in size]
-    return np.stack(np.meshgrid(*axes), -1)
 
 
 @pytest.mark.parametrize(
@@ -119,7 +110,7 @@ def test_a_rotated_picture_matches_itself(engine: TorchEngine, angle: float) -> 
     pixels = _picture(192, 160)
     rotated = View.whole(Image(pixels), angle)
     second = rotated.pixels()
-    grid = _grid(rotated.size)
+    grid = dense_scene.grid(60, 60, rotated.size)
     guide = _guide(rotated.to_image(grid) + 10, grid, (192, 160), rotated.size)
     views = common_views(Image(pixels), Image(second), guide, 192)
     (found,) = feature_matches(engine, ImageCache(), guide, views)
@@ -178,7 +169,7 @@ def test_a_squeezed_picture_matches_itself_once_the_other_is_squeezed(
     pictures = [whole, whole]
     pictures[narrowed] = cv2.resize(whole, size, interpolation=cv2.INTER_AREA)
     sizes = [(pixels.shape[1], pixels.shape[0]) for pixels in pictures]
-    grid = _grid(sizes[1])
+    grid = dense_scene.grid(60, 60, sizes[1])
     guide = _guide(rescale(grid, sizes[1], sizes[0]), grid, *sizes)
     guide.matchability[:] = 0.0
     images = [Image(pixels) for pixels in pictures]

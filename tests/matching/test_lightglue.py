@@ -7,7 +7,6 @@ import sys
 from collections.abc import Collection, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
-from importlib.resources import files
 from pathlib import Path
 
 import cv2
@@ -17,12 +16,12 @@ import pytest
 from scipy.special import erf, log_expit, log_softmax, softmax
 
 from dgc_pose import load_matcher
+from dgc_pose.cameras.pair_list import bundled_photographs
 from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.images.image import Image, load_image, masked
 from dgc_pose.matching.key_points import KeyPoints
 from dgc_pose.matching.lightglue import NAME, LightGlueMatcher
 
-PHOTOGRAPHS = Path(str(files("dgc_pose") / "data" / "photographs"))
 PACKAGE = "dgc_pose_lightglue"
 
 
@@ -35,7 +34,7 @@ def matcher(lightglue: None) -> LightGlueMatcher:
 
 @pytest.fixture(scope="module")
 def photographs() -> list[Image]:
-    return [load_image(PHOTOGRAPHS / f"image{k}.jpg") for k in (1, 2)]
+    return [load_image(path) for path in bundled_photographs()]
 
 
 @pytest.fixture(scope="module")
