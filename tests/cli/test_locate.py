@@ -9,7 +9,7 @@ import numpy as np
 import pycolmap
 import pytest
 from bad_pictures import BAD_PICTURES, write_bad_pictures
-from command_line import assert_all_bad, assert_refused, contents, run
+from command_line import assert_all_bad, assert_refused, run
 from worlds import SIZE, K, K_text, View, render_views, write_views
 
 from dgc_pose.cameras.camera import Camera
@@ -113,25 +113,6 @@ def test_bad_queries_are_named_and_the_others_located(
     (line,) = on_stdout.stderr.splitlines()
     assert line.startswith(f"error: {bad[0]} cannot be decoded")
     assert not (tmp_path / "o.png").exists()
-
-
-def test_unusable_input_is_one_line(scene: tuple[Path, list[View]], tmp_path: Path) -> None:
-    folder = scene[0]
-    before = contents(folder)
-    given = ("--json", tmp_path / "o.json", "--add", tmp_path / "m")
-    for words, expected in (
-        (("--K", "500,500,320,240"), "K"),
-        (("--K", "1,2"), "--K: '1,2' is neither auto"),
-        (("--K", "auto", "--weights", "sift"), "cannot choose pairs"),
-        (("--model", tmp_path / "none"), "--model"),
-        (("--masks", tmp_path / "none"), "--masks"),
-    ):
-        assert_refused(locate(folder, *words, *given), expected)
-    inside = locate(folder, *given, "--K", K_text(), photo="images/view1.png")
-    assert_refused(inside, "--add", "has an image view1.png already")
-    several = locate(folder, folder / "photo.png", "--plot", tmp_path / "o.png")
-    assert_refused(several, "--plot", "draws a single query, not 2")
-    assert contents(tmp_path) == {} and contents(folder) == before
 
 
 def test_a_fitted_camera_is_told() -> None:

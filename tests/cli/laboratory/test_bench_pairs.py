@@ -143,17 +143,3 @@ def test_the_maps_of_another_program_give_the_true_poses(folder, protocol):
     words = (*words[:-1], "native" if protocol == "paper" else "paper")
     again = bench("pairs.txt", *words, "--limit", "1", "--out", "run", "--resume")
     assert_refused(again, "that run has methods")
-
-
-@pytest.mark.parametrize(
-    "arguments, words",
-    [
-        (("pairs.txt", "--methods", "sift", "--matches", "raft=nowhere"), "nowhere/one.png_two"),
-        (("pairs.txt", "--methods", "sift", "--resume"), "--out"),
-        (("pairs.txt", "--methods", "true", "--K", "auto", "--K-scale", "2"), "cannot be scaled"),
-        ((), "LIST"),
-    ],
-)
-def test_unusable_input_is_one_line_and_writes_nothing(folder, arguments, words):
-    assert_refused(bench(*arguments), words)
-    assert sorted(os.listdir(folder)) == ["one.png", "pairs.txt", "two.png"]
