@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import click
 import pytest
-from command_line import assert_refused, run
+from command_line import run
 
 import dgc_pose
 from dgc_pose.cli.process import progress_bars
@@ -71,29 +71,6 @@ def test_nothing_heavy_is_imported_before_it_is_needed(code, heavy):
     code += f"\nimport sys\nassert not [name for name in {heavy} if name in sys.modules]"
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     subprocess.run([sys.executable, "-c", code], check=True, env=environment, capture_output=True)
-
-
-@pytest.mark.parametrize(
-    "arguments, words",
-    [
-        (["estimte"], "error: No such command 'estimte'."),
-        (["estimate", "a.png"], "IMG2"),
-        (
-            ["estimate", "a.png", "b.png", "--json", "no/x.json"],
-            "--json: no/x.json: No such file",
-        ),
-        (
-            ["rig", ".", "--out", "no", "--start", os.devnull],
-            "error: --start: /dev/null is not a regular file",
-        ),
-        (["estimate", "auto", "b.png"], "error: auto cannot be read"),
-        (["estimate", "no.png", "b.png", "--mask1", "no.png"], "error: no.png cannot be read"),
-        (["moved", "a.png", "b.png", "--json", "./no/x"], "--json: ./no/x: No such file"),
-        (["rig", "none", "--out", "no"], "error: FRAMES none: no such folder"),
-    ],
-)
-def test_misuse_is_one_line_and_exit_2(arguments, words):
-    assert_refused(run(*arguments), words)
 
 
 NOT_EXPECTED = "RuntimeError: can't allocate memory: 9 (--debug shows the trace)"
