@@ -56,10 +56,10 @@ def replace_network(
     )
 
 
-def grid(columns: int, rows: int) -> np.ndarray:
-    """Centres (rows, columns, 2) of the cells of an even grid over the image, pixels."""
-    x = (np.arange(columns) + 0.5) * SIZE[0] / columns - 0.5
-    y = (np.arange(rows) + 0.5) * SIZE[1] / rows - 0.5
+def grid(columns: int, rows: int, size: tuple[int, int] = SIZE) -> np.ndarray:
+    """Centres (rows, columns, 2) of the cells of an even grid over an image, pixels."""
+    x = (np.arange(columns) + 0.5) * size[0] / columns - 0.5
+    y = (np.arange(rows) + 0.5) * size[1] / rows - 0.5
     return np.stack(np.meshgrid(x, y), -1)
 
 

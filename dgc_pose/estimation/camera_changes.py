@@ -24,8 +24,8 @@ from dgc_pose.cameras.prior import (
     has_picture,
     improbability,
     is_inner,
-    of_part,
     picture_camera,
+    with_part,
 )
 from dgc_pose.estimation.intrinsics_prior import may_be_crop
 
@@ -117,7 +117,7 @@ def turning(stated: Cameras) -> Cameras:
     another lens. A K that is unusual is as none."""
     if are_stated(stated):
         if max(map(improbability, stated)) < USUAL_K:
-            return _loosened(stated, focal=_TURNED_FOCAL_STD, lens=_TURNED_LENS_STD, one=True)
+            return loosened(stated, focal=_TURNED_FOCAL_STD, lens=_TURNED_LENS_STD, one=True)
         stated = _as_pictured(stated[0]), _as_pictured(stated[1])
     first, second = (
         replace(camera, lens_std=max(camera.lens_std, _TURNED_OPEN_LENS_STD))
@@ -153,7 +153,7 @@ def has_sensor_shape(camera: Camera) -> bool:
 # Models without a K
 
 
-def _of_picture(
+def without_K(
     change: Callable[[Camera], Camera], usual_log_odds: float
 ) -> Callable[[Cameras], Iterator[Variant]]:
     """The variants of a model that changes each camera without a K in the same way."""
@@ -206,13 +206,13 @@ def tail(stated: Cameras) -> Iterator[Variant]:
         priors = [camera.focal_prior for camera in stated if camera.focal_prior is not None]
         if len(priors) == 2:
             usual, tail = _parts(stated[0], [prior.lines for prior in priors])
-            first, second = (of_part(camera, tail) for camera in stated)
+            first, second = (with_part(camera, tail) for camera in stated)
             yield Variant((first, second), tail.log_weight - usual.log_weight)
         return
     for number, camera in enumerate(stated):
         if camera.focal_prior is not None:
             usual, tail = _parts(camera, [camera.focal_prior.lines])
-            other = of_part(camera, tail)
+            other = with_part(camera, tail)
             cameras = (stated[0], other) if number else (other, stated[1])
             yield Variant(cameras, tail.log_weight - usual.log_weight)
 
@@ -240,7 +240,7 @@ def two(stated: Cameras) -> Iterator[Variant]:
 
 def _zoomed(camera: Camera, part: Part) -> Camera:
     lens_std = min(camera.lens_std, _TWO_LENS_STD)
-    return replace(of_part(camera, part), identity=None, lens_std=lens_std)
+    return replace(with_part(camera, part), identity=None, lens_std=lens_std)
 
 
 def _is_one(stated: Cameras) -> bool:
@@ -253,7 +253,7 @@ def _parts(camera: Camera, lines: Sequence[np.ndarray]) -> tuple[Part, Part]:
     assert camera.focal_prior is not None
 
     def distance(part: Part) -> float:
-        return abs(math.log(of_part(camera, part).focal / camera.focal))
+        return abs(math.log(with_part(camera, part).focal / camera.focal))
 
     one, other = sorted(camera.focal_prior.parts(lines), key=distance)
     return one, other
@@ -262,7 +262,7 @@ def _parts(camera: Camera, lines: Sequence[np.ndarray]) -> tuple[Part, Part]:
 # Models in place of a K
 
 
-def _in_place_of_K(
+def in_place_of_K(
     change: Callable[[Cameras], Cameras], log_odds: float
 ) -> Callable[[Cameras], Iterator[Variant]]:
     """The variants of a model that changes two cameras whose K is stated."""
@@ -276,7 +276,7 @@ def _in_place_of_K(
     return variants
 
 
-def _loosened(
+def loosened(
     cameras: Cameras,
     *,
     focal: float = 0.0,
@@ -312,14 +312,14 @@ def _lensed(cameras: Cameras) -> Cameras:
     """A radial lens that differs from the stated one."""
     if not any(camera.has_radial_lens for camera in cameras):
         return cameras
-    return _loosened(cameras, lens=_LENS_STD)
+    return loosened(cameras, lens=_LENS_STD)
 
 
 def _unlensed(cameras: Cameras) -> Cameras:
     """Images that are undistorted already."""
     if all(camera.distortion is None for camera in cameras):
         return cameras
-    loose = _loosened(cameras)
+    loose = loosened(cameras)
     first, second = (replace(camera, distortion=None, lens_std=0.0) for camera in loose)
     return first, second
 
@@ -347,7 +347,7 @@ def _with_K_of(camera: Camera, other: Camera) -> Camera:
 
 def _shifted(stated: Cameras) -> Iterator[Variant]:
     """The principal point of one image, or of both, far from that of K."""
-    first, second = _loosened(stated, one=False)
+    first, second = loosened(stated, one=False)
     shifted1, shifted2 = (
         replace(
             camera,
@@ -368,7 +368,7 @@ def centre(stated: Cameras) -> Iterator[Variant]:
     if _have_K_and_pictures(stated):
         yield from _shifted(stated)
     if _may_be_cut(stated):
-        loose = _loosened((_centred(stated[0]), _centred(stated[1])), one=False)
+        loose = loosened((_centred(stated[0]), _centred(stated[1])), one=False)
         first, second = (
             replace(camera, centre_std=_CUT_CENTRE_STD * max(image_size(camera)))
             if from_middle(before) > FAR_OFF
@@ -381,7 +381,7 @@ def centre(stated: Cameras) -> Iterator[Variant]:
 def middle(stated: Cameras) -> Iterator[Variant]:
     """The principal point in the middle, as of a frame cut from the photograph of K, or scaled."""
     if _have_K_and_pictures(stated) and max(map(from_middle, stated)) >= _OFF:
-        cameras = _loosened((_centred(stated[0]), _centred(stated[1])), focal=_CUT_FOCAL_STD)
+        cameras = loosened((_centred(stated[0]), _centred(stated[1])), focal=_CUT_FOCAL_STD)
         yield Variant(cameras, _LOG_ODDS_OF_CUT if _may_be_cut(stated) else -10.0)
 
 
@@ -417,13 +417,13 @@ def picture(stated: Cameras) -> Iterator[Variant]:
     yield Variant(separate, odds + of_two)
 
 
-squeezed = _of_picture(_squeezed, _LOG_ODDS_OF_EDITED)
-off_centre = _of_picture(_off_centre, _LOG_ODDS_OF_EDITED)
-fisheye = _of_picture(_wide(Distortion(FISHEYE, (0.0,) * 4), 0.55, 0.35), _LOG_ODDS_OF_WIDE)
-cylinder = _of_picture(_wide(Distortion(CYLINDER), 0.6, 0.4), _LOG_ODDS_OF_WIDE)
-focal = _in_place_of_K(partial(_loosened, focal=_FOCAL_STD, one=True), -5.5)
-focals = _in_place_of_K(partial(_loosened, focal=_FOCAL_STD, one=False), -8.0)
-lens = _in_place_of_K(_lensed, -5.5)
-_near_centre = _in_place_of_K(partial(_loosened, centre=_CENTRE_STD), -11.0)
-unlensed = _in_place_of_K(_unlensed, -9.0)
-swapped = _in_place_of_K(_swapped, -12.0)
+squeezed = without_K(_squeezed, _LOG_ODDS_OF_EDITED)
+off_centre = without_K(_off_centre, _LOG_ODDS_OF_EDITED)
+fisheye = without_K(_wide(Distortion(FISHEYE, (0.0,) * 4), 0.55, 0.35), _LOG_ODDS_OF_WIDE)
+cylinder = without_K(_wide(Distortion(CYLINDER), 0.6, 0.4), _LOG_ODDS_OF_WIDE)
+focal = in_place_of_K(partial(loosened, focal=_FOCAL_STD, one=True), -5.5)
+focals = in_place_of_K(partial(loosened, focal=_FOCAL_STD, one=False), -8.0)
+lens = in_place_of_K(_lensed, -5.5)
+_near_centre = in_place_of_K(partial(loosened, centre=_CENTRE_STD), -11.0)
+unlensed = in_place_of_K(_unlensed, -9.0)
+swapped = in_place_of_K(_swapped, -12.0)

@@ -23,8 +23,10 @@ def _peak(lines: np.ndarray) -> float:
     return float(LOG_FOCALS[lines.argmax()])
 
 
-@pytest.mark.parametrize("focal", [0.5, 0.9, 1.3, 3.0])
-@pytest.mark.parametrize("turn_deg", [(30, 20, 3), (-35, 15, 10)])
+@pytest.mark.parametrize(
+    ("focal", "turn_deg"),
+    [(0.5, (30, 20, 3)), (0.9, (-35, 15, 10)), (1.3, (30, 20, 3)), (3.0, (-35, 15, 10))],
+)
 def test_the_likeliest_focal_length_is_that_of_the_picture(
     focal: float, turn_deg: tuple[float, float, float]
 ) -> None:

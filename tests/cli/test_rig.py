@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import assert_all_bad, assert_refused, contents, run
+from command_line import assert_all_bad, run
 from scipy.spatial.transform import Rotation
 from worlds import SIZE, K, render_views, write_views
 
@@ -19,6 +19,7 @@ from dgc_pose.model import Model
 from dgc_pose.rigs.files import write_rig
 from dgc_pose.rigs.rig import Rig
 
+VIEWS = render_views(3)
 COVARIANCE = np.diag([1e-3] * 3 + [2e-3] * 3) ** 2
 NOWHERE = Location("nowhere", "none of 4 database images has a pose", ())
 
@@ -27,15 +28,15 @@ NOWHERE = Location("nowhere", "none of 4 database images has a pose", ())
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """With the pictures of three cameras in frames/."""
     monkeypatch.chdir(tmp_path)
-    write_views(tmp_path / "frames", render_views(3))
+    write_views(tmp_path / "frames", VIEWS)
     return tmp_path
 
 
 def cameras(turned: str = "") -> dict[str, Location]:
-    """Of these pictures. turned: the name of one that is turned by two degrees."""
+    """turned: the name of one that is turned by two degrees."""
     known = {"covariance": COVARIANCE, "probability": 0.97, "camera": Camera(K, SIZE)}
     found = {}
-    for name, view in zip(("view0", "view1", "view2"), render_views(3), strict=True):
+    for name, view in zip(("view0", "view1", "view2"), VIEWS, strict=True):
         turn = Rotation.from_euler("x", 2.0 * (name == turned), degrees=True).as_matrix()
         found[name] = Location("located", "", (), turn @ view.R, view.centre, **known)
     return found
@@ -176,26 +177,3 @@ def test_start_tells_which_camera_moved(folder: Path, monkeypatch: pytest.Monkey
     assert second.startswith("view1 has not moved")
     assert third.startswith("view2 moved: by 2.000 +- 0.143 deg")
     assert third.endswith("m, focal length +0.00 %")
-
-
-def test_unusable_input_is_one_line(folder: Path) -> None:
-    write_views(folder / "one", render_views(1))
-    write_views(folder / "walk" / "part", render_views(2))
-    (folder / "list.toml").write_text("[metadata]\n")
-    before = contents(folder)
-    for number, (words, expected) in enumerate(
-        (
-            (("one",), "1 cameras found, and a rig has two"),
-            (("frames", "--model", "one"), "--model needs --images, and no --walk"),
-            (("frames", "--start", "list.toml"), "list.toml"),
-            (("frames", "--K", "list.toml"), "list.toml"),
-            (("frames", "--K", "east=1,1,1,1"), "--K is of east, and the cameras are view0, v"),
-            (("frames", "--K", "view0=1,2"), "K of view0"),
-            (("frames", "--scale", "view0,east,2"), "--scale must be two of the 3 images (such as"),
-            (("frames", "--gps", "--marker", 0.2), "--gps and --marker both set the scale"),
-            (("frames", "--walk", "missing"), "--walk: missing is not a folder"),
-            (("frames", "--walk", "walk", "--walk-K", "1,2"), "K: '1,2' is neither auto"),
-        )
-    ):
-        assert_refused(run("rig", *words, "--out", f"out{number}"), expected)
-    assert before == contents(folder)

@@ -22,7 +22,6 @@ from dgc_pose.matching import (
     network_matcher,
 )
 from dgc_pose.matching.dense import dense_map
-from dgc_pose.matching.view import View
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
@@ -57,12 +56,11 @@ def _points(x: tuple[int, int], y: tuple[int, int], count: int, seed: int) -> Ma
 def _features(monkeypatch: pytest.MonkeyPatch, first: Matches, *more: Matches) -> None:
     """The matches of the features, and further ones of each hypothesis."""
 
-    def found(engine: Any, image1: Image, image2: Image, *rest: Any) -> tuple[Any, Any, float]:
-        hypotheses = rest[-1]
-        matches = [first] if hypotheses is None else [*more[: len(hypotheses)]]
-        return matches, [(View.whole(image), None) for image in (image1, image2)], 1.0
+    def found(engine: Any, cache: Any, dense: Any, views: Any, hypotheses: Any) -> list[Matches]:
+        return [first] if hypotheses is None else [*more[: len(hypotheses)]]
 
     monkeypatch.setattr(network_matcher, "feature_matches", found)
+    monkeypatch.setattr(network_matcher, "encode_each", lambda e, c, both: dict.fromkeys(both))
     monkeypatch.setattr(network_matcher, "context_ratio", lambda *arguments: None)
 
 
@@ -147,8 +145,6 @@ def _second(monkeypatch: pytest.MonkeyPatch, matches: Matches) -> None:
     other = _OtherMatcher(replace(matches, key_points=True))
     monkeypatch.setattr(network_matcher, "is_available", lambda: True)
     monkeypatch.setattr(network_matcher, "LightGlueMatcher", lambda cache: other)
-    views = [(View.whole(Image(np.zeros((9, 9, 3), np.uint8))), None)] * 2
-    monkeypatch.setattr(network_matcher, "encoded_views", lambda *arguments: (views, 1.0))
 
 
 @pytest.mark.parametrize("min_aligned", [100, 10_000])

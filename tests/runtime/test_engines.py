@@ -148,11 +148,15 @@ def test_features_are_those_of_the_net():
 
 
 def test_every_tensor_is_on_the_device_of_the_network(monkeypatch):
-    """Operations on tensors of two devices are refused, on one without numbers too."""
+    """Operations on tensors of two devices are refused, on one without numbers too. Maps come at
+    five sizes, and the mask of dgcm at the last one."""
     monkeypatch.setattr(torch, "autocast", lambda *_, **__: nullcontext())
     with torch.inference_mode():
-        for name, shape in (("dgcm-lite0", (96, 128)), ("dgcm", (240, 240))):
+        for name, (height, width) in (("dgcm-lite0", (96, 128)), ("dgcm", (240, 240))):
             net = DGCNet(preset(name)).eval().to("meta")
-            prediction = net(*torch.rand(2, 1, 3, *shape, device="meta"))
+            prediction = net(*torch.rand(2, 1, 3, height, width, device="meta"))
             assert all(part.is_meta for part in prediction.maps + prediction.logits)
-            assert prediction.maps[-1].shape == (1, 2, *shape)
+            sizes = [(height // k, width // k) for k in (16, 8, 4, 2, 1)]
+            assert [part.shape for part in prediction.maps] == [(1, 2, *size) for size in sizes]
+            masks = sizes[-1:] if name == "dgcm" else sizes
+            assert [part.shape for part in prediction.logits] == [(1, 1, *size) for size in masks]
