@@ -324,7 +324,7 @@ def _assert_deviations(pose: RelativePose, stated: Cameras, model: str) -> None:
 
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
-def test_the_camera_that_the_matches_agree_with(case: Case) -> None:
+def test_the_camera_that_the_matches_agree_with_is_found_and_told(case: Case) -> None:
     scene = case.views()
     stated = case.cameras(scene)
     pose = scene.estimate(*stated, seed=case.scene.get("seed", 0))

@@ -98,7 +98,7 @@ KNOWN_LENS = {"focal_std": 0.45, "distortion": LENS}
         (FISHEYE, KNOWN_LENS | {"focal_source": "size"}),
     ],
 )
-def test_a_stated_camera_is_of_no_other_kind(true: Camera, deviations: dict[str, Any]) -> None:
+def test_a_stated_camera_is_never_of_another_kind(true: Camera, deviations: dict[str, Any]) -> None:
     """Although it is wrong: K, with deviations or none, and a lens. Another focal length, lens or
     principal point may be found."""
     scene = camera_scene(true, true)

@@ -177,7 +177,7 @@ def test_a_motion_that_leaves_a_part_in_place_is_no_overlay(turn_deg, centre, fo
         (0, 30, 100, 2.0, True),  # by 1.5 pixels, within the expected error
     ],
 )
-def test_how_many_have_to_stay(still, slow, moving, error_px, found) -> None:
+def test_matches_stay_if_enough_of_them_do(still, slow, moving, error_px, found) -> None:
     rng = np.random.default_rng(0)
     points = rng.uniform(100, 1000, (still + slow + moving, 2))
     by = np.repeat([0.3, 1.5, 40.0], (still, slow, moving))

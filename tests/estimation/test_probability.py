@@ -179,7 +179,7 @@ def test_the_kind_of_matches_chooses_the_model() -> None:
     [("abc", False, "network"), ("def", False, None), (None, False, None)]
     + [(weights, True, "key_points") for weights in ("abc", "def", None)],
 )
-def test_a_model_is_of_the_networks_that_it_is_fitted_on(weights, key_points, kind) -> None:
+def test_a_model_is_for_the_networks_that_it_is_fitted_on(weights, key_points, kind) -> None:
     """And one of key points of any detector, which names those that it was tested on."""
     models = parse_models(_text())
     found = models.model(weights, key_points=key_points, with_map=True, fitted=False)

@@ -54,11 +54,9 @@ def test_the_pose_of_a_solid_scene(kind):
     [
         ("rotation_only", 0.0, 60),
         ("rotation_only", 0.5, 200),
-        ("rotation_only", 3.0, 60),
         ("rotation_only", 3.0, 3000),
         ("identical", 0.5, 200),  # exact copies are the same picture: test_overlay.py
         ("identical", 3.0, 60),
-        ("identical", 3.0, 3000),
     ],
 )
 def test_cameras_in_one_place_give_a_rotation_and_no_translation(kind, sigma_px, count):

@@ -67,7 +67,7 @@ def test_the_slopes_are_the_differences_of_the_errors(lens) -> None:
         (20, 1.2, -0.15, 0.4),
     ],
 )
-def test_a_turn_with_a_wrong_camera(
+def test_a_turn_is_found_with_a_wrong_camera(
     degrees: float, factor: float, k1: float, outliers: float
 ) -> None:
     seed = int(degrees)
@@ -77,7 +77,7 @@ def test_a_turn_with_a_wrong_camera(
 
 
 @pytest.mark.parametrize(("degrees", "k1"), [(8, -0.15), (20, -0.05)])
-def test_a_turn_without_a_K(degrees: float, k1: float) -> None:
+def test_a_turn_is_found_without_a_K(degrees: float, k1: float) -> None:
     assert _turned(degrees, 0, k1).estimate().status == "rotation_only"
 
 

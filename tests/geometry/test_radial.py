@@ -36,7 +36,7 @@ def test_a_cylinder_is_that_of_its_rays() -> None:
 
 
 @pytest.mark.parametrize("lens", [(0.09, -0.2), (-0.3, 0.08), (0.0, 0.0)])
-def test_the_slopes(lens: tuple[float, float]) -> None:
+def test_the_slopes_are_the_differences_of_undistorted_points(lens: tuple[float, float]) -> None:
     seen, step = distorted(POINTS, lens), 1e-6
     gradient = np.random.default_rng(5).standard_normal((2, len(seen)))
     by_seen, by_lens = undistorted_gradient(undistorted(seen, lens), lens, gradient)

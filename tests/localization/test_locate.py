@@ -18,7 +18,7 @@ from dgc_pose.estimation.options import Second
 from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import Image
 from dgc_pose.localization import locate
-from dgc_pose.localization.location import Location, LocationStatus
+from dgc_pose.localization.location import Location
 from dgc_pose.matchers import load_matcher
 from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.model import Model
@@ -140,18 +140,11 @@ def test_a_wrong_K_of_the_query_gives_way_and_is_told(tmp_path, monkeypatch) -> 
     ],
 )
 def test_a_query_that_is_not_placed_is_searched_again_with_the_second_matcher(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    second: Second,
-    is_there: bool,
-    statuses: list[LocationStatus],
-    searched: list[Second],
+    tmp_path, monkeypatch, second, is_there, statuses, searched
 ) -> None:
     done: list[Second] = []
 
-    def search(
-        self: locate.Locator, image: Image, camera: Camera, names: Any, *rest: Any, **kinds: Any
-    ) -> Location:
+    def search(self: Any, image: Image, camera: Camera, names: Any, *rest: Any, **_: Any) -> Any:
         done.append(rest[0].second)
         return Location(statuses[len(done) - 1], "", ())
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from worlds import CAMERA, IMAGE, OPTIONS, WorldScene, world_scene
+from worlds import CAMERA, IMAGE, OPTIONS, PHOTO_CAMERA, WorldScene, world_scene
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import estimate_pose
@@ -79,6 +79,8 @@ def test_a_cropped_or_squeezed_photograph_is_located(H: np.ndarray, told: str | 
     assert location.success and location.R is not None and location.centre is not None
     assert rotation_error_deg(location.R, scene.R) < 0.5
     assert np.linalg.norm(location.centre - scene.centre) < 0.05
+    assert location.camera is not None
+    np.testing.assert_allclose(location.camera.K, H @ PHOTO_CAMERA.K, atol=20)
     assert len(location.warnings) == (told is not None)
     if told is not None:
         assert location.warnings[0].startswith(f"the matches agree with {told}")

@@ -8,10 +8,10 @@ from itertools import combinations
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from worlds import CAMERA, IMAGE, OPTIONS, PHOTO_CAMERA, WorldScene, world_scene
+from worlds import OPTIONS, PHOTO_CAMERA, WorldScene, world_scene
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation import RelativePose, estimate_pose
+from dgc_pose.estimation import RelativePose
 from dgc_pose.localization.location import Location
 from dgc_pose.localization.search import MAX_IMAGES, LocationSearch
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
@@ -160,29 +160,6 @@ def test_improbable_pairs_place_nothing(probability: float | None) -> None:
     assert [image.agrees for image in location.database_images] == [location.success] * 2
     if probability is None:
         assert location.probability is None and location.to_dict()["probability"] is None
-
-
-@pytest.mark.parametrize(("squeeze", "shift"), [(1.0, (110, -80)), (1.25, (0, 0))])
-def test_the_camera_of_a_part_of_a_picture_is_fitted(
-    squeeze: float, shift: tuple[float, float]
-) -> None:
-    """The principal point of a picture without EXIF data may be far from its middle, or its pixels
-    may not be square: database images of known cameras determine both."""
-    scene = _scene()
-    f, x, y = PHOTO_CAMERA.focal, *PHOTO_CAMERA.K[:2, 2] + shift
-    middle = np.array([[squeeze * f, 0, x], [0, f, y], [0, 0, 1]])
-    stds = {"focal_std": 0.45, "centre_std": 5.0, "lens_std": 0.1}
-    assumed = Camera(middle, IMAGE, focal_source="size", **stds).with_focal(1.1 * f)
-    search = LocationSearch(scene.model(), assumed, OPTIONS, scene.names)
-    for number, name in enumerate(scene.names):
-        matches = scene.matches(number)
-        pose = estimate_pose(matches, CAMERA, search.pair_camera, OPTIONS)
-        search.add(name, pose, matches, *NO_POINTS)
-    location = search.location()
-    assert location.success and location.R is not None and location.camera is not None
-    assert rotation_error_deg(location.R, scene.R) < 0.5
-    assert np.linalg.norm(location.centre - scene.centre) < 0.05
-    np.testing.assert_allclose(location.camera.K, PHOTO_CAMERA.K, atol=20)
 
 
 @pytest.mark.parametrize(("right", "status"), [(2, "nowhere"), (5, "located")])

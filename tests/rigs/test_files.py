@@ -107,7 +107,7 @@ def test_a_rig_is_read_again_from_its_files(
 
 
 @pytest.mark.parametrize("name", TOMLS)
-def test_the_tables_are_opencvs(tmp_path: Path, name: str) -> None:
+def test_the_tables_are_read_by_opencv(tmp_path: Path, name: str) -> None:
     cameras = rig(*LENSES)
     write_rig(tmp_path, cameras, {"unit": "m"})
     data = toml_data((tmp_path / name).read_text(), tmp_path)
@@ -119,7 +119,7 @@ def test_the_tables_are_opencvs(tmp_path: Path, name: str) -> None:
         np.testing.assert_allclose(opencv_pixels(table, points), ours, atol=1e-4)
 
 
-def test_opencvs_stereo_file(tmp_path: Path) -> None:
+def test_the_stereo_file_is_read_by_opencv(tmp_path: Path) -> None:
     cameras = rig(*LENSES[:2])
     assert (tmp_path / "stereo.yml") in write_rig(tmp_path, cameras, {"unit": "m"})
     storage = cv2.FileStorage(str(tmp_path / "stereo.yml"), cv2.FILE_STORAGE_READ)
@@ -138,7 +138,7 @@ def test_opencvs_stereo_file(tmp_path: Path) -> None:
     assert calibration.parts["M2"].distortion == LENSES[1]
 
 
-def test_colmaps_rig(tmp_path: Path) -> None:
+def test_the_rig_is_read_by_colmap(tmp_path: Path) -> None:
     cameras = rig(*LENSES)
     write_rig(tmp_path, cameras, {"unit": "m"})
     (theirs,) = pycolmap.read_rig_config(tmp_path / "rig_config.json")
@@ -205,7 +205,7 @@ def stated(cameras: Poses, seed: int = 2) -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize("count", [3, 8])
 @pytest.mark.parametrize("seed", range(3))
-def test_the_camera_that_was_turned_and_shifted(count: int, seed: int) -> None:
+def test_a_camera_that_was_turned_and_shifted_is_told(count: int, seed: int) -> None:
     before = poses(count, seed)
     after = dict(before)
     R, centre = before["cam1"]
@@ -247,7 +247,7 @@ def test_the_second_of_two_cameras_is_relative_to_the_first() -> None:
 
 @pytest.mark.parametrize("count", [2, 3, 5])
 @pytest.mark.parametrize("seed", range(3))
-def test_two_cameras_that_changed_places(count: int, seed: int) -> None:
+def test_two_cameras_that_changed_places_are_told(count: int, seed: int) -> None:
     """Their focal lengths are compared with those of the other place. A third camera that moved
     counts as moved."""
     before = poses(count, seed)
