@@ -25,20 +25,6 @@ from dgc_pose.model import Model
 from dgc_pose.pose import solve_pair
 
 
-def test_features_go_with_their_images(tmp_path: Path) -> None:
-    """Neither the query's nor those of images that left the memory are kept."""
-    photo, *views = render_views(4, step=0.5)
-    model = known_model(tmp_path, views)
-    cache = ImageCache()
-    options = EstimationOptions(effort="fast", runs=2, iterations=200)
-    locator = locate.Locator(model, load_matcher(cache=cache), options)
-    cache.limit_bytes = 1
-    location = locator.locate(photo.pixels, DATABASE_K)
-    assert location.success and cache.made > 8
-    kept = {image.name for image in cache._kept}
-    assert len(kept) <= 1 and "query" not in kept
-
-
 @pytest.mark.parametrize(("K", "source"), [("auto", "lines"), ("900,900,480,360", "given")])
 def test_the_lines_of_a_query_tell_its_focal_length(tmp_path, monkeypatch, K, source) -> None:
     """Which no K states."""
@@ -58,17 +44,22 @@ def test_the_lines_of_a_query_tell_its_focal_length(tmp_path, monkeypatch, K, so
 
 
 def test_one_bad_image_among_many_is_told(tmp_path: Path) -> None:
-    """Queries, and images of the model."""
+    """Queries, and images of the model. Features go with their images: neither those of queries
+    nor those of images that left the memory are kept."""
     photo, *views = render_views(4, step=0.5)
     model = known_model(tmp_path / "images", views)
     cut = tmp_path / "images" / "view0.png"
     cut.write_bytes(cut.read_bytes()[:-9000])
     options = EstimationOptions(effort="fast", runs=2, iterations=200)
-    locator = locate.Locator(model, load_matcher(), options)
+    cache = ImageCache()
+    locator = locate.Locator(model, load_matcher(cache=cache), options)
+    cache.limit_bytes = 1
     bad = write_bad_pictures(tmp_path)
     queries = [photo.pixels, *bad, photo.pixels[:80], photo.pixels]
     first, *others, last = locator.locate_all(queries, DATABASE_K)
     assert first.success and last.success
+    kept = {image.name for image in cache._kept}
+    assert cache.made > 8 and len(kept) <= 1 and "query" not in kept
     assert {image.name for image in first.database_images} == {"view1.png", "view2.png"}
     assert [*locator.bad] == ["view0.png"] and str(cut) in locator.bad["view0.png"]
     assert {location.status for location in others} == {"bad_input"}
