@@ -15,7 +15,6 @@ from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import Image
 from dgc_pose.matchers import load_engine
 from dgc_pose.matches import Matches
-from dgc_pose.matching import CorrespondenceMap
 from dgc_pose.matching.cell_consensus import EpipolarBand, likely_cells, propagate
 from dgc_pose.matching.features import (
     MOST_HYPOTHESES,
@@ -53,13 +52,6 @@ def _random(seed: int, rows: int, columns: int) -> NativeFeatures:
 def _picture(width: int, height: int) -> np.ndarray:
     noise = np.random.default_rng(0).integers(0, 256, (height // 8, width // 8, 3), np.uint8)
     return cv2.resize(noise, (width, height), interpolation=cv2.INTER_CUBIC)
-
-
-def _guide(points1: np.ndarray, grid: np.ndarray, size1: tuple, size2: tuple) -> CorrespondenceMap:
-    matchability = np.full(grid.shape[:2], 0.9, np.float32)
-    return CorrespondenceMap(
-        points1.astype(np.float32), grid.astype(np.float32), matchability, size1, size2
-    )
 
 
 @pytest.mark.parametrize(
@@ -110,7 +102,8 @@ def test_a_rotated_picture_matches_itself(engine: TorchEngine, angle: float) -> 
     rotated = View.whole(Image(pixels), angle)
     second = rotated.pixels()
     grid = dense_scene.grid(60, 60, rotated.size)
-    guide = _guide(rotated.to_image(grid) + 10, grid, (192, 160), rotated.size)
+    sizes = (192, 160), rotated.size
+    guide = dense_scene.make_map(rotated.to_image(grid) + 10, grid, sizes, 0.9)
     (found,), *_ = feature_matches(engine, Image(pixels), Image(second), guide, ImageCache(), 192)
     off = found.points1 - rotated.to_image(found.points2)
     if angle % 90 == 0:
@@ -165,10 +158,9 @@ def test_a_squeezed_picture_matches_itself_once_the_other_is_squeezed(
     size = (192, 320) if axis == 0 else (384, 160)
     pictures = [whole, whole]
     pictures[narrowed] = cv2.resize(whole, size, interpolation=cv2.INTER_AREA)
-    sizes = [(pixels.shape[1], pixels.shape[0]) for pixels in pictures]
+    sizes = tuple((pixels.shape[1], pixels.shape[0]) for pixels in pictures)
     grid = dense_scene.grid(60, 60, sizes[1])
-    guide = _guide(rescale(grid, sizes[1], sizes[0]), grid, *sizes)
-    guide.matchability[:] = 0.0
+    guide = dense_scene.make_map(rescale(grid, sizes[1], sizes[0]), grid, sizes, 0.0)
     images = [Image(pixels) for pixels in pictures]
     every = feature_matches(engine, *images, guide, ImageCache(), hypotheses=[])[0]
     assert len(every) == 4
