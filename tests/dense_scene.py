@@ -119,6 +119,12 @@ def pictures(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     return first, cv2.remap(first, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
 
 
+def images() -> tuple[Image, Image]:
+    """The pictures, as matchers take them."""
+    first, second = pictures()
+    return Image(first), Image(second)
+
+
 def write_pictures(folder: Path) -> tuple[str, str]:
     """The pictures as PNG files: their paths."""
     paths = str(folder / "one.png"), str(folder / "two.png")

@@ -118,7 +118,7 @@ def test_a_rotated_picture_matches_itself(engine: TorchEngine, angle: float) -> 
 
 def test_matches_near_the_lines_of_a_hypothesis_are_near_them(engine: TorchEngine) -> None:
     """Whatever the map says, and of a wrong hypothesis near wrong lines."""
-    first, second = (Image(pixels) for pixels in dense_scene.pictures())
+    first, second = dense_scene.images()
     guide = dense_scene.noise_map()
     guide.matchability[:] = 0.0
     camera = Camera(dense_scene.K, dense_scene.SIZE)

@@ -15,7 +15,7 @@ from dgc_pose.matching.key_points import LONG_SIDE, RATIO, SiftMatcher, input_si
 
 
 def test_sift_s_matches_lie_on_the_surface() -> None:
-    result = SiftMatcher().match(*(Image(pixels) for pixels in dense_scene.pictures()))
+    result = SiftMatcher().match(*dense_scene.images())
     matches = result.matches
     off = np.linalg.norm(dense_scene.points_in_image1(matches.points2) - matches.points1, axis=1)
     assert np.median(off) < 1.0 and (off < 3).mean() > 0.8 and len(matches) > 60

@@ -37,7 +37,7 @@ def _bars(seed: int, size: np.ndarray) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def plain() -> list[Image]:
-    return [Image(pixels) for pixels in dense_scene.pictures()]
+    return [*dense_scene.images()]
 
 
 @pytest.fixture(scope="module")
