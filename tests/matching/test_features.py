@@ -174,7 +174,7 @@ def test_a_squeezed_picture_matches_itself_once_the_other_is_squeezed(
     assert int(np.argmax(counts)) in alike and max(counts) > 200
 
 
-def test_it_is_belief_propagation_over_the_candidates() -> None:
+def test_likely_cells_are_found_by_belief_propagation() -> None:
     rng = np.random.default_rng(0)
     rows, columns, count, width = 3, 4, 5, 6  # width: columns of the source
     candidates = rng.integers(0, 30, (rows * columns, count))

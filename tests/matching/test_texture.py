@@ -127,7 +127,7 @@ INSIDE = np.zeros(SIDES[::-1], bool)
 INSIDE[12:28, 20:40] = True
 
 
-def test_what_surrounds_matches_is_as_alike_as_they_are_unless_only_a_part_is():
+def test_surroundings_are_as_alike_as_the_matches_unless_only_a_part_is_shared():
     share = context_ratio(_views(0), [WITH_TEXTURE] * 2, _matches(INSIDE))
     assert share is not None and 0.95 < share < 1.05
     views = _views(0, np.pad(INSIDE[1:-1, 1:-1], 1))
