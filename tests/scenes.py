@@ -203,21 +203,14 @@ def pinhole(
     return Camera(np.array([[focal * aspect, 0, x], [0, focal, y], [0, 0, 1]]), size, lens)
 
 
-def poster_scene(
-    *, seed: int = 0, count: int = 300, sigma_px: float = 0.4, relief: float = 0.0
-) -> TwoViewScene:
+def poster_scene(*, seed: int = 0, count: int = 300, sigma_px: float = 0.4) -> TwoViewScene:
     """A tilted poster that fills a quarter of the image: few points of it, or none, lie behind a
-    camera in either of its homography's poses.
-
-    relief: of the points off the plane, as a share of its width.
-    """
+    camera in either of its homography's poses."""
     rng = np.random.default_rng(seed)
     x, y = rng.uniform(-0.8, 0.8, (count, 2)).T
     points = np.column_stack([x, y, 6 + 0.4 * x - 0.2 * y])
     R = Rotation.from_rotvec(np.radians(18) * np.array([0.3, 0.9, 0.1])).as_matrix()
     t = MIDDLE - R @ MIDDLE + 0.3 * rng.standard_normal(3)
-    if relief:
-        points[:, 2] += 1.6 * relief * rng.uniform(-0.5, 0.5, count)
     cameras = (Camera(K1, SIZE1),) * 2
     return two_views(points, cameras, (R, t), rng, sigma_px=sigma_px, everywhere=True)
 

@@ -91,7 +91,7 @@ def test_what_is_masked_takes_no_part(pair: tuple[np.ndarray, np.ndarray], tmp_p
     "values", [(None, None), ("auto:two", "auto:two"), ("auto", dense_scene.K)]
 )
 def test_the_matches_tell_the_focal_length_that_is_not_known(values: tuple[Any, ...]) -> None:
-    images = [Image(pixels) for pixels in dense_scene.pictures()]
+    images = [*dense_scene.images()]
     matcher = dense_scene.MapMatcher(dense_scene.true_map(error_px=0.2))
     result = solve_pair(*images, pair_cameras(*values, *images), matcher)
     pose, truth = result.pose, dense_scene.K[0, 0]

@@ -51,12 +51,12 @@ def render_views(
     *,
     seed: int = 0,
     step: float = 0.35,
-    textures: list[np.ndarray] | None = None,
     K: np.ndarray = K,
     size: tuple[int, int] = SIZE,
 ) -> list[View]:
     """Views of cameras on an arc of `step` units between neighbours, which look at the middle."""
-    textures, views = textures or draw_textures(seed), []
+    textures = draw_textures(seed)
+    views = []
     for i in range(count):
         x = (i - (count - 1) / 2) * step
         centre = np.array([x, 0.15 * np.sin(2.0 * i), 0.05 * x * x + 0.1 * np.cos(1.5 * i)])

@@ -51,7 +51,7 @@ def test_parameters_that_are_correlated():
     np.testing.assert_allclose(std, np.sqrt(np.diag(together)), rtol=1e-3)
 
 
-def test_outliers_do_not_move_it():
+def test_outliers_do_not_move_a_pooled_camera():
     right, wrong = 0.1 + np.linspace(-0.01, 0.01, 9), [-1.2, -1.2, -1.4]
     stds, weights = [0.01] * 9 + [0.005, 0.005, 0.001], [1.0] * 11 + [0.01]
     value, std = _pooled([*right, *wrong], stds, 24, weights)
@@ -64,7 +64,7 @@ def test_errors_of_an_image_are_shared_by_its_pairs(images, count):
     assert _pooled([0.0] * 10, 0.01, images)[1] == pytest.approx(0.01 / count**0.5, rel=1e-3)
 
 
-def test_scatter_widens():
+def test_scatter_widens_the_deviation():
     """Eight fits two deviations away: each of the weight w = 1 / (1 + 4 / 2.385^2), and 4 times
     the variance that they state."""
     value, std = _pooled([-0.02, 0.02] * 4, 0.01, 16)

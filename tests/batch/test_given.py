@@ -329,7 +329,7 @@ def _other_features(path: Path) -> Path:
         (_other_features, "has no pair of images of feats-any.h5 (first: rows-photo 0.jpg/"),
     ],
 )
-def test_what_is_no_source(tmp_path: Path, write, reason: str) -> None:
+def test_a_path_that_is_no_source_is_refused(tmp_path: Path, write, reason: str) -> None:
     path = write(tmp_path / "source")
     with pytest.raises(InputError) as caught:
         read_given(path)

@@ -52,7 +52,7 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_what_differs_is_refused_with_the_command_and_nothing_changes(
+def test_a_difference_is_refused_with_the_command_and_nothing_changes(
     photos, tmp_path, change, monkeypatch
 ):
     monkeypatch.setattr("sys.argv", ["dgc-pose", "batch", "my photos"])

@@ -97,7 +97,7 @@ def test_a_batch_that_is_killed_meanwhile_goes_on(
     assert len(second.tried) == 6  # two were lost, of which one was begun twice
 
 
-def test_with_another_one_or_none_its_pairs_are_matched_anew(
+def test_with_another_second_matcher_or_none_its_pairs_are_matched_anew(
     three: Path, second: _Second, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
@@ -115,7 +115,9 @@ def test_with_another_one_or_none_its_pairs_are_matched_anew(
 @pytest.mark.parametrize(
     "estimation", [replace(QUICK, second="none"), replace(QUICK, effort="fast")]
 )
-def test_it_may_be_left_out(three: Path, second: _Second, tmp_path: Path, estimation) -> None:
+def test_the_second_matcher_may_be_left_out(
+    three: Path, second: _Second, tmp_path: Path, estimation
+) -> None:
     batch = run_sift(three, tmp_path / "out", estimation=estimation)
     assert not second.tried and not _tried(batch)
     assert batch.plan.settings["second"] is None

@@ -81,7 +81,7 @@ def test_key_points_of_an_unusable_image_stop_no_other(tmp_path: Path) -> None:
         assert filled == {*WORLD.names} - {odd} and database.num_verified_image_pairs() == GOOD
 
 
-def test_the_room_for_a_copy_is_that_of_the_log_too(
+def test_the_room_for_a_copy_includes_the_log(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rooms = []

@@ -15,7 +15,6 @@ from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import Image
 from dgc_pose.matchers import load_engine
 from dgc_pose.matches import Matches
-from dgc_pose.matching import CorrespondenceMap
 from dgc_pose.matching.cell_consensus import EpipolarBand, likely_cells, propagate
 from dgc_pose.matching.features import (
     MOST_HYPOTHESES,
@@ -54,13 +53,6 @@ def _random(seed: int, rows: int, columns: int) -> NativeFeatures:
 def _picture(width: int, height: int) -> np.ndarray:
     noise = np.random.default_rng(0).integers(0, 256, (height // 8, width // 8, 3), np.uint8)
     return cv2.resize(noise, (width, height), interpolation=cv2.INTER_CUBIC)
-
-
-def _guide(points1: np.ndarray, grid: np.ndarray, size1: tuple, size2: tuple) -> CorrespondenceMap:
-    matchability = np.full(grid.shape[:2], 0.9, np.float32)
-    return CorrespondenceMap(
-        points1.astype(np.float32), grid.astype(np.float32), matchability, size1, size2
-    )
 
 
 @pytest.mark.parametrize(
@@ -111,7 +103,8 @@ def test_a_rotated_picture_matches_itself(engine: TorchEngine, angle: float) -> 
     rotated = View.whole(Image(pixels), angle)
     second = rotated.pixels()
     grid = dense_scene.grid(60, 60, rotated.size)
-    guide = _guide(rotated.to_image(grid) + 10, grid, (192, 160), rotated.size)
+    sizes = (192, 160), rotated.size
+    guide = dense_scene.make_map(rotated.to_image(grid) + 10, grid, sizes, 0.9)
     views = common_views(Image(pixels), Image(second), guide, 192)
     (found,) = feature_matches(engine, ImageCache(), guide, views)
     off = found.points1 - rotated.to_image(found.points2)
@@ -127,7 +120,7 @@ def test_a_rotated_picture_matches_itself(engine: TorchEngine, angle: float) -> 
 
 def test_matches_near_the_lines_of_a_hypothesis_are_near_them(engine: TorchEngine) -> None:
     """Whatever the map says, and of a wrong hypothesis near wrong lines."""
-    first, second = (Image(pixels) for pixels in dense_scene.pictures())
+    first, second = dense_scene.images()
     guide = dense_scene.noise_map()
     guide.matchability[:] = 0.0
     camera = Camera(dense_scene.K, dense_scene.SIZE)
@@ -168,10 +161,9 @@ def test_a_squeezed_picture_matches_itself_once_the_other_is_squeezed(
     size = (192, 320) if axis == 0 else (384, 160)
     pictures = [whole, whole]
     pictures[narrowed] = cv2.resize(whole, size, interpolation=cv2.INTER_AREA)
-    sizes = [(pixels.shape[1], pixels.shape[0]) for pixels in pictures]
+    sizes = tuple((pixels.shape[1], pixels.shape[0]) for pixels in pictures)
     grid = dense_scene.grid(60, 60, sizes[1])
-    guide = _guide(rescale(grid, sizes[1], sizes[0]), grid, *sizes)
-    guide.matchability[:] = 0.0
+    guide = dense_scene.make_map(rescale(grid, sizes[1], sizes[0]), grid, sizes, 0.0)
     images = [Image(pixels) for pixels in pictures]
     every = feature_matches(engine, ImageCache(), guide, common_views(*images, guide), [])
     assert len(every) == 4
@@ -185,7 +177,7 @@ def test_a_squeezed_picture_matches_itself_once_the_other_is_squeezed(
     assert int(np.argmax(counts)) in alike and max(counts) > 200
 
 
-def test_it_is_belief_propagation_over_the_candidates() -> None:
+def test_likely_cells_are_found_by_belief_propagation() -> None:
     rng = np.random.default_rng(0)
     rows, columns, count, width = 3, 4, 5, 6  # width: columns of the source
     candidates = rng.integers(0, 30, (rows * columns, count))

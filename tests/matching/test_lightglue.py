@@ -23,6 +23,8 @@ from dgc_pose.matching.key_points import KeyPoints
 from dgc_pose.matching.lightglue import NAME, LightGlueMatcher
 
 PACKAGE = "dgc_pose_lightglue"
+PHOTOGRAPHS = [load_image(path) for path in bundled_photographs()]
+SMALL = [Image(cv2.resize(image.pixels, (160, 120))) for image in PHOTOGRAPHS]
 
 
 @pytest.fixture(scope="module")
@@ -33,23 +35,12 @@ def matcher(lightglue: None) -> LightGlueMatcher:
 
 
 @pytest.fixture(scope="module")
-def photographs() -> list[Image]:
-    return [load_image(path) for path in bundled_photographs()]
-
-
-@pytest.fixture(scope="module")
-def small(photographs: list[Image]) -> list[Image]:
-    return [Image(cv2.resize(one.pixels, (160, 120))) for one in photographs]
-
-
-@pytest.fixture(scope="module")
-def found(matcher: LightGlueMatcher, photographs: list[Image]) -> list[KeyPoints]:
-    return [matcher._detect(photograph) for photograph in photographs]
+def found(matcher: LightGlueMatcher) -> list[KeyPoints]:
+    return [matcher._detect(photograph) for photograph in PHOTOGRAPHS]
 
 
 def test_key_points_and_matches_are_those_of_the_released_networks(
     matcher: LightGlueMatcher,
-    photographs: list[Image],
     found: list[KeyPoints],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -69,9 +60,9 @@ def test_key_points_and_matches_are_those_of_the_released_networks(
     pairs = zip(rows[0][rows1], rows[1][rows2], confidence, strict=True)
     differences = [abs(score - their_score[i, j]) for i, j, score in pairs if (i, j) in theirs]
     assert np.median(differences) < 0.01
-    monkeypatch.setattr(matcher, "_detect", lambda image: found[photographs.index(image)])
+    monkeypatch.setattr(matcher, "_detect", lambda image: found[PHOTOGRAPHS.index(image)])
     monkeypatch.setattr(matcher, "_matched", lambda *found: matched)
-    matches = matcher.match(*photographs).matches
+    matches = matcher.match(*PHOTOGRAPHS).matches
     assert matches.key_points and matches.error_px == 1280 / 1024
     expected = (found[0].points[rows1] + 0.5) * 1.25 - 0.5
     assert {*map(tuple, matches.points1)} <= {*map(tuple, expected)} and len(matches) > 500
@@ -166,56 +157,52 @@ def test_matches_are_those_of_a_plain_computation_with_pruning_or_without(
         matches_after_one_of([layer])
 
 
-def test_threads_and_forked_processes_find_the_same(
-    matcher: LightGlueMatcher, small: list[Image]
-) -> None:
-    alone = [matcher._detect(one).descriptors for one in small]
+def test_threads_and_forked_processes_find_the_same(matcher: LightGlueMatcher) -> None:
+    alone = [matcher._detect(one).descriptors for one in SMALL]
     with ThreadPoolExecutor(3) as pool:
-        threaded = [one.descriptors for one in pool.map(matcher._detect, small * 3)]
+        threaded = [one.descriptors for one in pool.map(matcher._detect, SMALL * 3)]
     assert all(np.array_equal(one, alone[k % 2]) for k, one in enumerate(threaded))
-    expected = len(matcher.match(*small).matches)
+    expected = len(matcher.match(*SMALL).matches)
     context = multiprocessing.get_context("fork")
     queue = context.SimpleQueue()
-    others = [Image(one.pixels.copy()) for one in small]  # not in the cache
+    others = [Image(one.pixels.copy()) for one in SMALL]  # not in the cache
     child = context.Process(target=lambda: queue.put(len(matcher.match(*others).matches)))
     child.start()
     child.join(120)
     assert child.exitcode == 0 and queue.get() == expected > 50
 
 
-def test_matches_lie_on_no_masked_pixel(matcher: LightGlueMatcher, small: list[Image]) -> None:
+def test_matches_lie_on_no_masked_pixel(matcher: LightGlueMatcher) -> None:
     mask = np.ones((120, 160), bool)
     mask[:, ::2] = False
-    both = [masked(one, mask) for one in small]
+    both = [masked(one, mask) for one in SMALL]
     matches = matcher.match(*both).matches
     for points in (matches.points1, matches.points2):
         assert (np.floor(points[:, 0] + 0.5) % 2 == 1).all() and len(points) > 10
 
 
 def test_an_image_turned_by_its_exif_data_is_as_the_upright_one(
-    matcher: LightGlueMatcher, small: list[Image], tmp_path: Path
+    matcher: LightGlueMatcher, tmp_path: Path
 ) -> None:
     exif = PIL.Image.Exif()
     exif[0x0112] = 6  # the upper row as stored is the right column
-    stored = PIL.Image.fromarray(np.rot90(small[0].pixels).copy())
+    stored = PIL.Image.fromarray(np.rot90(SMALL[0].pixels).copy())
     stored.save(tmp_path / "turned.png", exif=exif)
-    matches = matcher.match(small[0], small[1]).matches
-    turned = matcher.match(load_image(tmp_path / "turned.png"), small[1]).matches
+    matches = matcher.match(SMALL[0], SMALL[1]).matches
+    turned = matcher.match(load_image(tmp_path / "turned.png"), SMALL[1]).matches
     np.testing.assert_array_equal(turned.points1, matches.points1)
     np.testing.assert_array_equal(turned.points2, matches.points2)
 
 
-def test_small_images_match_and_empty_ones_do_not(
-    matcher: LightGlueMatcher, small: list[Image]
-) -> None:
+def test_small_images_match_and_empty_ones_do_not(matcher: LightGlueMatcher) -> None:
     """Images of fewer pixels than there are key points, and of any size."""
-    part = Image(np.ascontiguousarray(small[0].pixels[100:140, 100:140]))
+    part = Image(np.ascontiguousarray(SMALL[0].pixels[100:140, 100:140]))
     matches = matcher.match(part, part).matches
     assert len(matcher._detect(part).points) < 400
     assert len(matches) > 5 and np.array_equal(matches.points1, matches.points2)
     for size in ((1, 1), (20, 33), (40, 300), (64, 64)):
         grey = Image(np.full((*size, 3), 128, np.uint8))
-        for image in (grey, small[0]):
+        for image in (grey, SMALL[0]):
             assert len(matcher.match(image, grey).matches) == 0
 
 

@@ -90,7 +90,7 @@ def test_the_first_differing_keys_are_named(tmp_path):
 
 
 @pytest.mark.parametrize("name", shipped())
-def test_each_of_those_shipped_loads_in_half_precision_and_has_a_card(name):
+def test_shipped_weights_load_in_half_precision_and_have_a_card(name):
     folder = resources.files("dgc_pose") / "weights"
     net = load_network(name)
     assert name in PRESETS and net.config == PRESETS[name]

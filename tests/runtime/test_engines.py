@@ -68,7 +68,7 @@ def test_features_are_torch_s(engines, pictures):
         np.testing.assert_allclose(own, other, atol=1e-4)
 
 
-def test_one_s_own_weights_of_a_preset_run_too(tmp_path, pictures):
+def test_own_weights_of_a_preset_run_too(tmp_path, pictures):
     """Batch norms whose statistics and factors are not 0 and 1 are folded as torch folds them."""
     torch.manual_seed(3)
     net = DGCNet(preset("dgcm-lite0")).eval()
