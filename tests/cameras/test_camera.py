@@ -67,7 +67,7 @@ def test_a_pair_takes_pycolmaps_cameras() -> None:
 
 
 def test_a_field_of_view_is_that_of_the_upright_image() -> None:
-    """Of the rays through the left and the right edge, half a pixel beyond the outer centres."""
+    """Between the rays through the left and right edges, half a pixel beyond the outer centres."""
     images = [
         Image(np.zeros((size[1], size[0], 3), np.uint8), exif=Exif(orientation=n))
         for size, n in ((SIZE, 1), (SIZE[::-1], 6), (SIZE, 3))
@@ -85,7 +85,7 @@ def test_a_field_of_view_is_that_of_the_upright_image() -> None:
         pair_cameras(None, None, *images, fov="wide")  # type: ignore[arg-type]
 
 
-def test_what_is_no_K_is_refused_in_one_line_that_names_the_argument() -> None:
+def test_an_unusable_K_is_refused_in_one_line_that_names_the_argument() -> None:
     for value, message in (
         (K[:2], "shape"),
         (np.block([[K, np.ones((3, 1))], [0, 0, 0, 1]]), "shape"),
@@ -125,7 +125,7 @@ def test_resized_follows_a_spot_in_a_resized_image() -> None:
     assert (small.K[0, 0], small.size) == (25, (20, 16))
 
 
-def test_what_no_ray_reaches_becomes_nan_and_never_a_wrong_point() -> None:
+def test_a_pixel_that_no_ray_reaches_becomes_nan() -> None:
     fisheye = parse_camera("SIMPLE_FISHEYE,640,480,100,320,240")
     beyond = np.array([[319.5 + 100 * np.pi / 2 + 1, 239.5], [319.5 + 100, 239.5]])
     normalised = fisheye.normalise(beyond)
@@ -220,7 +220,7 @@ def test_a_cylinder_has_no_coefficients_and_the_angle_as_x() -> None:
     np.testing.assert_allclose(camera.project(normalised[:1]), pixels[:1])
 
 
-def test_what_a_lens_does_not_have_is_refused() -> None:
+def test_coefficients_and_deviations_that_a_lens_does_not_have_are_refused() -> None:
     """Another number of coefficients, and a deviation but of a lens of two coefficients."""
     for model, coefficients in (
         ("RADIAL", (0.1,)),

@@ -118,7 +118,7 @@ VIDEO = b"\0\0\0\x18ftypmp42" + bytes(900)
         (read_pair_list, VIDEO, NO_TEXT),
     ],
 )
-def test_what_is_no_list_is_an_error_with_its_path_and_the_line(tmp_path, read, content, reason):
+def test_a_bad_list_is_an_error_with_its_path_and_the_line(tmp_path, read, content, reason):
     """A text is of a line behind a good one and two empty ones; bytes are of a whole file."""
     data = content if isinstance(content, bytes) else f"{line()}\n  \n{content}".encode()
     path = tmp_path / ("pairs.csv" if b"," in data else "pairs.txt")

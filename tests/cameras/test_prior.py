@@ -91,7 +91,7 @@ def test_the_lens_of_an_action_camera_is_known_least() -> None:
     ],
 )
 def test_a_focal_length_that_no_camera_has(exif: Exif, warning: str) -> None:
-    """Of one camera the files hold 35856 mm, and of a telephone 177 mm for a small image: with a
+    """The files of one camera state 35856 mm, those of a telephone 177 mm for a small image: with a
     lens of 4 mm, a sensor of 1 mm. No part of an image is wider than it; but larger it may be."""
     camera = auto_camera(photo(exif))
     assert (camera.focal, camera.focal_std, camera.focal_source) == (3600, SIZE_STD, "size")
@@ -209,9 +209,9 @@ def test_a_camera_is_the_usual_part_of_its_belief(image: Header) -> None:
     """Beside which there are long lenses, or EXIF data of another image."""
     camera = auto_camera(image)
     usual, tail = camera.focal_prior.usual, camera.focal_prior.tail
-    of_usual = with_part(camera, usual)
-    np.testing.assert_allclose(of_usual.K, camera.K, rtol=1e-9)
-    assert of_usual.focal_std == camera.focal_std == usual.std
+    main = with_part(camera, usual)
+    np.testing.assert_allclose(main.K, camera.K, rtol=1e-9)
+    assert main.focal_std == camera.focal_std == usual.std
     assert np.exp([usual.log_weight, tail.log_weight]).sum() == pytest.approx(1)
     assert tail.std > usual.std and usual.log_weight > tail.log_weight
     assert not camera.focal_prior.lines.any()
@@ -241,7 +241,7 @@ def test_a_camera_stays_if_the_lines_tell_nothing() -> None:
 
 @pytest.mark.parametrize("film", [13, 135])
 def test_exif_data_that_the_lines_contradict_have_a_warning(film: int) -> None:
-    """Of 960 x 720 pixels 1152 are 41.5 mm on 35 mm film. The lines of two images are surer than
+    """1152 pixels are 41.5 mm on 35 mm film at 960 x 720. The lines of two images are surer than
     EXIF data, which few files have of another image; those of one are about as sure."""
     exif = Exif("Maker", "X1", focal_35mm=film)
     images = [replace(BOX, exif=exif), Image(box_picture(1.2, (40, -25, -5)), exif=exif)]

@@ -137,7 +137,7 @@ def test_warnings_are_lines_of_their_own(info):
 
 
 def test_a_log_file_gets_a_line_a_minute(monkeypatch, capsys):
-    """Of 780 pairs 60 are of the run before; six take a second."""
+    """60 of 780 pairs are done before; six take a second."""
     clock = SimpleNamespace(seconds=0.0, monotonic=lambda: clock.seconds)
     monkeypatch.setattr("dgc_pose.cli.process.time", clock)
     with progress_bars() as progress:

@@ -82,7 +82,7 @@ def _read_calibration(path):
 
 
 def _make_lists(folder):
-    """Of pairs with their poses, of names, and a COLMAP database."""
+    """Lists of pairs with their poses and of names, and a COLMAP database."""
     dense_scene.write_pair_list(folder, pairs=2)
     for picture in folder.glob("*.png"):
         picture.unlink()

@@ -266,7 +266,7 @@ def exif_of(folder: Path, block: bytes) -> Exif:
         (PLANE_X, [0, IFDRational(1, 0), "many", IFDRational(5000, 1)], "pixels_per_mm"),
     ],
 )
-def test_what_is_no_positive_number_is_not_known(
+def test_a_number_that_is_not_positive_is_not_known(
     tmp_path: Path, tag: int, values: list[Any], field: str
 ) -> None:
     for value in values:

@@ -18,7 +18,7 @@ SIZE = (640, 480)
 NAMES = ("APRILTAG_36h11:7", "APRILTAG_16h5:2", "4X4_1000:30", "6X6_1000:11", "ARUCO_ORIGINAL:99")
 
 
-def test_corners_to_a_fraction_of_a_pixel_but_of_no_marker_that_is_there_twice() -> None:
+def test_corners_are_found_to_a_fraction_of_a_pixel_unless_a_marker_is_there_twice() -> None:
     """Each corner, of markers 60 pixels wide; in colours of 8 and in grey of 16 bit too."""
     markers = {
         name: square(60 / 900, (0.12 * place - 0.22, -0.03, 1.0), (0.3, -0.2, 0.1))

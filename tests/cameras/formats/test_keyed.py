@@ -68,7 +68,8 @@ def _camera(folder: Path, format: str, **keys: Any) -> Camera:
 
 @pytest.mark.parametrize("format", FORMATS)
 def test_a_key_that_is_not_read(tmp_path: Path, format: str) -> None:
-    """Of a lens it is refused, of another camera told; zeros and what is of neither pass."""
+    """It is refused if it may describe the lens, and a warning if it may change K; zeros and other
+    keys pass."""
     for key in ("k5", "dist_x", "lensDistortion", "xi", "skew", "fisheye_params", "orthographic"):
         for value in (0.1, [0.0, 0.1], "text"):
             with pytest.raises(
