@@ -100,7 +100,7 @@ def rendered_folder(
     K = _floats([[focal, focal, (shape[1] - 1) / 2, (shape[0] - 1) / 2]])
     for name, (boxes, centres, targets) in zip("AB", getattr(make, kind)(), strict=False):
         centre, half, yaw, seeds = (np.array(values) for values in zip(*boxes, strict=True))
-        drawn = [random_textures(1, 1, photos, Draw("cpu", of), _SPANS) for of in seeds.tolist()]
+        drawn = [random_textures(1, 1, photos, Draw("cpu", own), _SPANS) for own in seeds.tolist()]
         photo, span, origin, weight, gain = map(partial(torch.cat, dim=1), zip(*drawn, strict=True))
         span *= _floats(np.median(half, 1)).sqrt()[:, None, None]
         solids = about_axis(_floats(yaw), 1)[None], _floats(half)[None], _floats(centre)[None]
@@ -128,7 +128,8 @@ class _Maker:
 
     def boxes(self, count: int, halves: _Range, feet: _Range, yaw: float = 0) -> list[_Box]:
         """feet: range of the middles of the lower faces; yaw: largest, in either direction."""
-        sizes, places = (self.between(*of, (count, 3)) for of in (halves, feet))
+        sizes = self.between(*halves, (count, 3))
+        places = self.between(*feet, (count, 3))
         turns = self.between(-yaw, yaw, count)
         seeds = self.rng.random(count)
         return [*map(_Box, places - sizes * (0, 1, 0), sizes, turns, seeds)]
@@ -219,8 +220,8 @@ def _made(name: str, data: Path, out: Path) -> Folder:
     kind, _, seed = name.rpartition("_")
     if kind not in KINDS:
         frames = {frame.image.name: frame for frame in read_scene(data / "posed" / name)}
-        of_frames = {image: frames[image].camera for image in thinned([*frames], _FRAMES)}
-        return data / "posed" / name / "images", of_frames, partial(has_right_pose, frames)
+        known = {image: frames[image].camera for image in thinned([*frames], _FRAMES)}
+        return data / "posed" / name / "images", known, partial(has_right_pose, frames)
     views = rendered_folder(kind, _photos(data / "photos"), int(seed))
     root = out / "folders" / name
     root.parent.mkdir(parents=True, exist_ok=True)
@@ -281,8 +282,12 @@ def collected(name: str, data: Path, out: Path) -> dict[str, Pairs]:
             estimation=EstimationOptions(second="none"),  # whatever is installed
             options=BatchOptions(resume=True),
         )
-        posed = (pair for pair in batch.pairs() if pair.row.pose and pair.row.pose.R is not None)
-        np.save(labels, [pair.row.index for pair in posed if is_right(pair)])
+        right_pairs = []
+        for pair in batch.pairs():
+            pose = pair.row.pose
+            if pose is not None and pose.R is not None and is_right(pair):
+                right_pairs.append(pair.row.index)
+        np.save(labels, right_pairs)
     batch = read_batch(folder)
     right = np.load(labels)
     steps = () if name.rpartition("_")[0] in KINDS else _STEPS
@@ -321,7 +326,8 @@ def fit(folders: Mapping[str, Pairs]) -> str:
 
 def _weights(folders: Sequence[Pairs]) -> tuple[np.ndarray, float]:
     """Log-odds per unit of each evidence value, and the intercept."""
-    values, right = (np.concatenate([of[k] for of in folders]) for k in range(2))
+    values = np.concatenate([pairs[0] for pairs in folders])
+    right = np.concatenate([pairs[1] for pairs in folders])
     values = np.nan_to_num(values)
     deviation = values.std(0).clip(1e-6)
     fitted = regression(1.0).fit(values / deviation, right)

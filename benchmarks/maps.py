@@ -152,7 +152,6 @@ def _squaring(size: tuple[int, int]) -> np.ndarray:
 
 
 def _pairs_in(folder: Path) -> Iterator[HomographyPair]:
-    """The pairs directly in a folder, in any of the layouts."""
     name = folder.resolve().name
     found = []  # names of pair, group, images, matrix
     for k, viewpoint in enumerate(VIEWPOINTS, start=2):

@@ -1,16 +1,14 @@
-"""Methods by name: a matcher with its options and its cameras.
+"""Methods by name: a matcher with its options, and the cameras that it gets.
 
-A method is `NAME[/all][:K=K][:K_scale=F]`, such as `dgcm-lite0:K=auto:shared`. NAME is a matcher
-(see `load_matcher`), `dis`, or the name of stored matches. `NAME/all` takes every pixel whose point
-on the map of NAME lies in image 1, whatever its matchability, without refinement. K and K_scale are
-the fields of `CameraTrial`.
+A method is `NAME[/all]`. NAME is a matcher (see `load_matcher`), `dis`, or the name of stored
+matches. `NAME/all` takes every pixel whose point on the map of NAME lies in image 1, whatever its
+matchability, without refinement.
 """
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from dgc_pose.benchmarks.other_matchers import FLOW, FileMatcher, FlowMatcher, Names
 from dgc_pose.benchmarks.posed_pairs import PosedPair
@@ -25,7 +23,6 @@ from dgc_pose.runtime.engine import Engine
 from dgc_pose.system.options import check_options, option
 
 EVERYWHERE = "/all"
-_SETTING = re.compile(r":(K|K_scale)=")  # paths and K=auto:two have colons, too
 
 
 @dataclass(frozen=True)
@@ -100,33 +97,33 @@ def parse_methods(
         matcher, estimation: options of all methods; only networks are refined.
         stored: names of stored matches, which take precedence over other matchers. Those without a
             method in `names` become methods, last.
-        cameras: the cameras, where a name does not set them.
+        cameras: the cameras that all methods get.
 
-    Raises InputError without methods, for a method that is named twice or has an option out of
-    range, and for `/all` with a matcher of key points.
+    Raises InputError without methods, for a method that is named twice, and for `/all` with a
+    matcher of key points.
     """
     matcher = matcher or MatcherOptions()
     methods = list[Method]()
-    named = {_SETTING.split(name)[0].removesuffix(EVERYWHERE) for name in names}
+    named = {name.removesuffix(EVERYWHERE) for name in names}
     for text in [*names, *(name for name in stored if name not in named)]:
         if any(text == method.name for method in methods):
             raise InputError(f"the method {text!r} is named twice")
-        name, *words = _SETTING.split(text)
-        weights = name.removesuffix(EVERYWHERE)
+        weights = text.removesuffix(EVERYWHERE)
         used = replace(matcher, weights=weights)
-        everywhere = name != weights
+        everywhere = text != weights
         if weights in (FLOW, *stored) or everywhere or not used.is_network:
             used = replace(used, matching=replace(used.matching, aligned="none"))
         if everywhere and not used.is_network and weights not in (FLOW, *stored):
             raise InputError(f"{text}: {weights} has no dense map, which {EVERYWHERE} needs")
-        changes: dict[str, Any] = dict(zip(map(str.lower, words[::2]), words[1::2], strict=True))
-        try:
-            if "k_scale" in changes:
-                changes["k_scale"] = float(changes["k_scale"])
-            trial = replace(cameras or CameraTrial(), **changes)
-        except (InputError, ValueError) as error:
-            raise InputError(f"{text}: {error}") from None
-        methods.append(Method(text, used, estimation or EstimationOptions(), trial, everywhere))
+        methods.append(
+            Method(
+                text,
+                used,
+                estimation or EstimationOptions(),
+                cameras or CameraTrial(),
+                everywhere,
+            )
+        )
     if not methods:
         raise InputError("no methods named")
     return methods

@@ -215,7 +215,8 @@ def model_figures(model: Model, views: Model) -> dict[str, Any]:
         for pair in combinations(names, 2)
     ]
     # Distances between estimated and true positions, after the best similarity.
-    centres, true = (np.stack([of.centre(name) for name in names]) for of in (model, views))
+    centres = np.stack([model.centre(name) for name in names])
+    true = np.stack([views.centre(name) for name in names])
     similarity = pycolmap.estimate_sim3d(centres, true)
     positions = np.full(len(names), np.nan)
     if similarity is not None:
@@ -294,14 +295,15 @@ def location_report(queries: Sequence[Mapping[str, Any]]) -> list[tuple[str, str
         "position within its expected error": (position < column["position_error_90"])[located],
     }
     seconds = column["seconds"]
-    of_pairs = column["pair_seconds"]
+    pair_seconds = column["pair_seconds"]
+    matched = pair_seconds > 0
     medians = {
         "R, median, deg": rotation[located],
         "position, median, % of the extent": column["position_percent"][located],
         "position, median, unit": position[located],
         "database images, median": column["database_images"],
         "seconds, median": seconds,
-        "seconds over pair seconds, median": seconds[of_pairs > 0] / of_pairs[of_pairs > 0],
+        "seconds over pair seconds, median": seconds[matched] / pair_seconds[matched],
     }
     lines = [(name, f"{flags.sum()} of {len(flags)}") for name, flags in counted.items()]
     return lines + [

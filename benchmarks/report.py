@@ -68,8 +68,8 @@ def reliability(confidence: np.ndarray, correct: np.ndarray, bins: int = 10) -> 
     """
     values = confidence.astype(np.float64).ravel()
     index = np.minimum((values * bins).astype(np.intp), bins - 1)
-    weights = np.ones(len(values)), correct.ravel(), values
-    return np.stack([np.bincount(index, of, minlength=bins) for of in weights])
+    summed = np.ones(len(values)), correct.ravel(), values
+    return np.stack([np.bincount(index, weights, minlength=bins) for weights in summed])
 
 
 def shares(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

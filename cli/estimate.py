@@ -71,10 +71,10 @@ def estimate(
     """Estimate the relative pose of two photographs.
 
     Prints cam2_from_cam1, x2 = R x1 + t. The translation is up to scale unless a depth map,
-    --baseline, --distance or --marker determines its length. Without --K, --K1 and --fov, the focal
-    length is estimated, as with --K auto. Points are in pixels of the upright original images.
-    Without a pose, prints the reason and exits with 3. If several poses explain the matches equally
-    well, prints all of them and exits with 3.
+    --baseline or --marker determines its length. Without --K, --K1 and --fov, the focal length is
+    estimated, as with --K auto. Points are in pixels of the upright original images. Without a
+    pose, prints the reason and exits with 3. If several poses explain the matches equally well,
+    prints all of them and exits with 3.
     """
     json_file = None if outputs.json == STDOUT else outputs.json
     with staged(json_file, outputs.matches, outputs.map, outputs.plot, outputs.ply) as stage:

@@ -154,12 +154,11 @@ def _section(option: click.Option) -> Section:
 
 def _option_of(path: Any, context: click.Context) -> str | None:
     """The option whose value is this path; None if no option or more than one has it."""
-    given = [
-        parameter
-        for parameter, value in _given(context)
-        if isinstance(value, str | Path) and value not in (STDOUT, parameter.default)
-        if path is not None and Path(value) == Path(path)
-    ]
+    given = []
+    for parameter, value in _given(context):
+        is_stated = isinstance(value, str | Path) and value not in (STDOUT, parameter.default)
+        if is_stated and path is not None and Path(value) == Path(path):
+            given.append(parameter)
     return given[0].opts[0] if len(given) == 1 and isinstance(given[0], click.Option) else None
 
 

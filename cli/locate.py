@@ -174,8 +174,8 @@ def location_text(query: str, location: Location) -> str:
             f"expected error: R within {rotation:.3f} deg, centre within {position:.3g} in "
             "90 % of cases, if the location is right"
         )
-        of = "that R is within 5 deg and the centre within 5 % of the model's extent"
-        lines.append(probability_text(location.probability, of))
+        event = "that R is within 5 deg and the centre within 5 % of the model's extent"
+        lines.append(probability_text(location.probability, event))
     camera = location.camera
     if location.success and camera is not None and (text := camera_text(camera, camera)):
         lines.append(f"camera: {text}")

@@ -23,6 +23,7 @@ import click
 from dgc_pose.cameras.by_image import KDetails
 from dgc_pose.cameras.calibration import pair_cameras
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.formats.recognise import FORMATS
 from dgc_pose.cli.guard import NamedPath, OutputFile, SectionedOption
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
@@ -104,7 +105,6 @@ def _made(cls: type, values: Mapping[str, Any], path: str) -> Any:
 
 
 def _parameter_type(kind: Any, info: OptionInfo) -> Any:
-    """The type of a parameter of click."""
     if info.type is not None:
         return info.type
     if info.parse is not None:
@@ -122,6 +122,7 @@ def output_file(help: str, metavar: str, **kind: bool) -> Any:
     return option(None, help, metavar=metavar, type=OutputFile(**kind))
 
 
+_FORMATS = ", ".join(format.name for format in FORMATS if format.name)
 _camera = partial(option, None, metavar="K|FILE|auto", section="cameras")
 _detail = partial(option, None, section="advanced")
 
@@ -151,9 +152,9 @@ class KChoice:
     """The options of a K for all images."""
 
     k: str | None = _camera(
-        "Camera of all images: fx,fy,cx,cy; COLMAP's MODEL,w,h,params; a file (COLMAP, OpenCV, "
-        "ROS, Kalibr, KITTI, NeRF, .csv, JSON, 3x3 matrix); or auto, the default: not known "
-        "(auto:shared: one camera took all images; auto:two: each has its own).",
+        f"Camera of all images: fx,fy,cx,cy; COLMAP's MODEL,w,h,params; a file ({_FORMATS}); or "
+        "auto, the default: not known (auto:shared: one camera took all images; auto:two: each "
+        "has its own).",
         flag="--K",
     )
     k_size: tuple[int, int] | None = _detail(

@@ -143,7 +143,6 @@ def rig(frames: Path, out: Path, choice: RigChoice) -> int:
 
 
 def _names(frames: Path) -> set[str]:
-    """The cameras' names in FRAMES."""
     from dgc_pose.rigs.frames import camera_name
 
     return {*map(camera_name, frames.iterdir())} if frames.is_dir() else set()

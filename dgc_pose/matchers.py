@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from dgc_pose.errors import ArgumentName, InputError, WeightsError, is_installed, require
 from dgc_pose.images.cache import ImageCache
@@ -24,10 +26,44 @@ DEVICE_HELP = "auto, cpu, cuda or cuda:N."
 RUNTIME_HELP = (
     "onnx: ONNX Runtime, on the CPU; torch; auto: onnx for dgcm-lite0 on the CPU, else torch."
 )
-_ONNX = ".onnx"
-_NAMED = {matcher.name: matcher for matcher in (SiftMatcher, LightGlueMatcher)}
-NAMES = (*_NAMED, f"*{_ONNX}", f"{PREFIX}*")  # of matchers other than our networks
 _DRIVERS = ("/dev/nvidiactl", "/dev/kfd", "/dev/dxg")  # devices of GPUs, on Linux and in WSL
+
+
+class NamedMatcher(NamedTuple):
+    """A row of the table of matchers other than our networks."""
+
+    name: str  # as a user states it; * stands for any characters
+    about: str  # in the documentation
+    make: Callable[[MatcherOptions, ImageCache | None], Matcher]
+    uses_device: bool = False  # else it runs on the CPU only
+
+
+# docs/library.md and the help of --weights show the table. The first row that fits a name counts.
+MATCHERS: Sequence[NamedMatcher] = (
+    NamedMatcher(
+        SiftMatcher.name,
+        "OpenCV's SIFT: ratio test, mutual check",
+        lambda options, cache: SiftMatcher(cache),
+    ),
+    NamedMatcher(
+        LightGlueMatcher.name,
+        "ALIKED's key points matched by LightGlue (`pip install ./lightglue`)",
+        lambda options, cache: LightGlueMatcher(cache),
+    ),
+    NamedMatcher(
+        f"{PREFIX}*",
+        "a matcher of the package vismatch (`pip install vismatch`; it downloads weights under "
+        "their licences)",
+        lambda options, cache: VismatchMatcher(options.weights, options.device),
+        uses_device=True,
+    ),
+    NamedMatcher(
+        "*.onnx",
+        "a detector with descriptors of your own",
+        lambda options, cache: OnnxMatcher(options.weights, cache),
+    ),
+)
+NAMES = tuple(matcher.name for matcher in MATCHERS)
 
 
 @dataclass(frozen=True)
@@ -41,7 +77,7 @@ class MatcherOptions:
     weights: str = option(
         DEFAULT_WEIGHTS,
         "Shipped weights by name; a file, .safetensors or an authors' .pth; or another matcher: "
-        "sift, aliked-lightglue, MODEL.onnx (a detector with descriptors), or vismatch:NAME.",
+        f"{', '.join(NAMES)}.",
         metavar="NAME|FILE",
     )
     device: str = option("auto", DEVICE_HELP, metavar="NAME")
@@ -55,9 +91,12 @@ class MatcherOptions:
     def is_network(self) -> bool:
         """Whether the matcher is one of our networks: it makes a dense map, and its features refine
         the matches and choose pairs."""
-        return self.weights not in _NAMED and not (
-            self.weights.startswith(PREFIX) or self.weights.endswith(_ONNX)
-        )
+        return self._named is None
+
+    @property
+    def _named(self) -> NamedMatcher | None:
+        """The row of a matcher other than our networks."""
+        return next((row for row in MATCHERS if fnmatchcase(self.weights, row.name)), None)
 
     @property
     def takes_second(self) -> bool:
@@ -67,15 +106,12 @@ class MatcherOptions:
     def load(self, cache: ImageCache | None = None, engine: Engine | None = None) -> Matcher:
         """The matcher; see `load_matcher`. engine: the engine of a network, if it is loaded."""
         name = self.weights
-        if name.startswith(PREFIX):
-            return VismatchMatcher(name, self.device)
-        if not self.is_network and self.device not in ("auto", "cpu"):
-            only = f"must be auto or cpu for {name}, not {self.device}"
-            raise InputError(ArgumentName("device"), only)
-        if name in _NAMED:
-            return _NAMED[name](cache)
-        if name.endswith(_ONNX):
-            return OnnxMatcher(name, cache)
+        named = self._named
+        if named is not None:
+            if not named.uses_device and self.device not in ("auto", "cpu"):
+                only = f"must be auto or cpu for {name}, not {self.device}"
+                raise InputError(ArgumentName("device"), only)
+            return named.make(self, cache)
         try:
             engine = engine or load_engine(name, device=self.device, runtime=self.runtime)
         except WeightsError:

@@ -92,7 +92,6 @@ def _is_likely(pose: RelativePose, least: float) -> bool:
 
 
 def _agreeing(pose: RelativePose | None) -> int:
-    """The number of matches that agree with a pose, or with one picture."""
     if pose is None:
         return 0
     return pose.num_matches if pose.status == "same_picture" else pose.num_inliers

@@ -206,12 +206,12 @@ def _upright(
         if name is None:
             continue
         stated_camera = {name: file.by_name[stated]} if stated in file.by_name else {}
-        of_image = replace(calibration, by_name=stated_camera)
+        own = replace(calibration, by_name=stated_camera)
         try:
             header = image_header(root / name)
-            camera = of_image.camera(root, name, header)
+            camera = own.camera(root, name, header)
             # Poses for the pixels as stored are rotated with the image.
-            K = of_image.stated(root, name)
+            K = own.stated(root, name)
             turn = exif_turn(1 if K is None else orientation_of(K, header))
             if np.linalg.det(turn) < 0:
                 raise InputError(f"{root / name}: its pixels as stored are a mirror image, by EXIF")

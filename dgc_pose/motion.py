@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 
 from dgc_pose.cameras.by_image import NO_DETAILS, KDetails
-from dgc_pose.cameras.calibration import image_camera
+from dgc_pose.cameras.calibration import single_camera
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.prior import with_lines
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation.covariance import NORMAL_90
 from dgc_pose.estimation.picture_motion import (
@@ -168,8 +167,7 @@ class FixedCamera:
         self.reference = load_image(reference, "reference")
         check_type(matcher, Matcher | str | Path | None, "matcher")
         check_type(details, KDetails, "details")
-        stated = image_camera(K, self.reference, details=details)
-        (self.camera,) = with_lines([stated], [self.reference])
+        self.camera = single_camera(K, self.reference, details=details)
         matcher = DEFAULT_WEIGHTS if matcher is None else matcher
         self._matcher = load_matcher(matcher) if isinstance(matcher, str | Path) else matcher
 
@@ -236,7 +234,6 @@ def _motion(matches: Matches, camera: Camera, size: tuple[int, int]) -> CameraMo
 def _measured(
     matched: FixedMatches, fit: MotionFit, size: tuple[int, int], has_changed: bool
 ) -> CameraMotion:
-    """The values of a motion with their errors, and the verdict."""
     middle = (np.array([size]) - 1) / 2
     (middle_px,), (middle_error,) = _moves(fit, middle, matched.camera)
     moves, errors = _moves(fit, matched.points1[fit.agree > 0], matched.camera)

@@ -174,7 +174,6 @@ def solve_pair(
 
 
 def _views(pose: RelativePose | None, cameras: tuple[Camera, Camera]) -> list[TwoViews]:
-    """The hypotheses of a pose, with their cameras."""
     assert pose is not None
     return [TwoViews(*(pose.cameras or cameras), h.R, h.t) for h in pose.hypotheses]
 
@@ -224,8 +223,8 @@ def in_doubt(pose: RelativePose) -> bool:
     if likely is None or not pose.hypotheses:
         return False
     share = pose.hypotheses[0].share
-    of_others = likely * (1 - share) if pose.status == "rotation_only" else likely
-    return of_others > _MIN_SEARCHED and not _is_clear(pose)
+    likely_others = likely * (1 - share) if pose.status == "rotation_only" else likely
+    return likely_others > _MIN_SEARCHED and not _is_clear(pose)
 
 
 def _is_likelier(pose: RelativePose | None, other: RelativePose) -> bool:

@@ -27,15 +27,15 @@ class Attributes(griffe.Extension):
         text, _, section = cls.docstring.value.partition(_SECTION)
         described = {name: " ".join(words.split()) for name, words in _ENTRY.findall(section)}
         module = importlib.import_module(cls.module.path)
-        known = {of.name: of for of in fields(getattr(module, cls.name))}
+        known = {field.name: field for field in fields(getattr(module, cls.name))}
         lines = []
         for name, attribute in cls.attributes.items():
             if name.startswith("_"):
                 continue
             if name in known:
-                of = known[name]
-                info = option_info(of)
-                words = info and info.help, described.get(name), _default(of)
+                field = known[name]
+                info = option_info(field)
+                words = info and info.help, described.get(name), _default(field)
                 lines.append(f"    {name}: {' '.join(filter(None, words))}")
             elif "property" in attribute.labels and attribute.docstring is not None:
                 lines.append(f"    {name}: {' '.join(attribute.docstring.value.split())}")
@@ -47,11 +47,11 @@ class Attributes(griffe.Extension):
             obj.docstring.value = _DOCTEST.sub(_as_code, obj.docstring.value)
 
 
-def _default(of: Field[Any]) -> str:
-    if of.default is not MISSING:
-        return f"(default `{of.default!r}`)"
-    if of.default_factory is not MISSING:
-        return f"(default `{of.default_factory.__name__}()`)"
+def _default(field: Field[Any]) -> str:
+    if field.default is not MISSING:
+        return f"(default `{field.default!r}`)"
+    if field.default_factory is not MISSING:
+        return f"(default `{field.default_factory.__name__}()`)"
     return ""
 
 

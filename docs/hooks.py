@@ -1,31 +1,66 @@
 """Hooks of mkdocs, loaded by mkdocs.yml.
 
 In a page, the commands of a section of `dgc-pose --help`, with their help texts, replace
-`<!-- commands: SECTION -->`. A table of all commands replaces `<!-- sections -->`.
+`<!-- commands: SECTION -->`. A table of all commands replaces `<!-- sections -->`. The rows of a
+table of the code replace `<!-- table: NAME -->`, below a heading in the page.
 """
 
 import html
 import json
 import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 
+from dgc_pose.cameras.formats.recognise import FORMATS
 from dgc_pose.cli.main import SECTIONS, main
+from dgc_pose.estimation.camera_model import MODELS
+from dgc_pose.matchers import MATCHERS
 
 WIDTH = 88  # characters of a line
 _COMMANDS = re.compile(r"<!-- commands: (.+) -->")
 _SECTIONS = "<!-- sections -->"
+MARK = re.compile(r"<!-- table: (.+) -->")
 _NONE = 'alt="No description has been provided for this image"'
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
     markdown = _COMMANDS.sub(lambda mark: "\n".join(map(_reference, SECTIONS[mark[1]])), markdown)
-    return markdown.replace(_SECTIONS, _table())
+    markdown = MARK.sub(lambda mark: "\n".join(map(_row, TABLES[mark[1]]())), markdown)
+    return markdown.replace(_SECTIONS, _commands())
 
 
-def _table() -> str:
+def _row(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _formats() -> Iterator[Sequence[str]]:
+    for format in FORMATS:
+        centre = "(0.5, 0.5)" if format.half_pixel else "(0, 0)"
+        yield format.files, f"`{format.example}`", centre
+
+
+def _matchers() -> Iterator[Sequence[str]]:
+    for matcher in MATCHERS:
+        yield f"`{matcher.name}`", matcher.about
+
+
+def _camera_models() -> Iterator[Sequence[str]]:
+    for model in MODELS.values():
+        if model.opens:
+            yield f"`{model.name}`", model.opens, model.odds
+
+
+TABLES: Mapping[str, Callable[[], Iterator[Sequence[str]]]] = {
+    "formats": _formats,
+    "matchers": _matchers,
+    "camera models": _camera_models,
+}
+
+
+def _commands() -> str:
     """A table of the commands, with links to their help."""
     lines = ["| section | command | what it does |", "|---|---|---|"]
     for section, commands in SECTIONS.items():

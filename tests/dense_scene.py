@@ -56,10 +56,10 @@ def replace_network(
     )
 
 
-def grid(columns: int, rows: int) -> np.ndarray:
-    """Centres (rows, columns, 2) of the cells of an even grid over the image, pixels."""
-    x = (np.arange(columns) + 0.5) * SIZE[0] / columns - 0.5
-    y = (np.arange(rows) + 0.5) * SIZE[1] / rows - 0.5
+def grid(columns: int, rows: int, size: tuple[int, int] = SIZE) -> np.ndarray:
+    """Centres (rows, columns, 2) of the cells of an even grid over an image, pixels."""
+    x = (np.arange(columns) + 0.5) * size[0] / columns - 0.5
+    y = (np.arange(rows) + 0.5) * size[1] / rows - 0.5
     return np.stack(np.meshgrid(x, y), -1)
 
 
@@ -90,14 +90,22 @@ def noise_map() -> CorrespondenceMap:
     return make_map(rng.random((CELLS, CELLS, 2)) * SIZE - 0.5, grid(CELLS, CELLS))
 
 
-def make_map(points1: np.ndarray, points2: np.ndarray) -> CorrespondenceMap:
-    inside = ((points1 >= -0.5) & (points1 <= np.array(SIZE) - 0.5)).all(-1)
+def make_map(
+    points1: np.ndarray,
+    points2: np.ndarray,
+    sizes: tuple[tuple[int, int], tuple[int, int]] = (SIZE, SIZE),
+    matchability: np.ndarray | float | None = None,
+) -> CorrespondenceMap:
+    """By (rows, columns, 2) pixels of both images; matchable inside image 1 if it is not stated."""
+    if matchability is None:
+        inside = ((points1 >= -0.5) & (points1 <= np.array(sizes[0]) - 0.5)).all(-1)
+        matchability = np.where(inside, 0.9, 0.1)
     return CorrespondenceMap(
         map=points1.astype(np.float32),
         grid=points2.astype(np.float32),
-        matchability=np.where(inside, 0.9, 0.1).astype(np.float32),
-        size1=SIZE,
-        size2=SIZE,
+        matchability=np.broadcast_to(matchability, points1.shape[:2]).astype(np.float32),
+        size1=sizes[0],
+        size2=sizes[1],
     )
 
 
@@ -109,6 +117,12 @@ def pictures(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     first = cv2.normalize(texture, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
     x, y = np.moveaxis(points_in_image1(grid(*SIZE)).astype(np.float32), -1, 0)
     return first, cv2.remap(first, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+
+
+def images() -> tuple[Image, Image]:
+    """The pictures, as matchers take them."""
+    first, second = pictures()
+    return Image(first), Image(second)
 
 
 def write_pictures(folder: Path) -> tuple[str, str]:

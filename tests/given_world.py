@@ -28,6 +28,12 @@ class GivenWorld:
     right: dict[Pair, np.ndarray]  # (M,) bool: which matches are of one point
     unrelated: frozenset[Pair]  # whose matches are wrong
 
+    def points(self, names: Pair) -> tuple[np.ndarray, np.ndarray]:
+        """Of the matches of a pair, in both images."""
+        index = self.matches[names]
+        first, second = names
+        return self.key_points[first][index[:, 0]], self.key_points[second][index[:, 1]]
+
     def errors_deg(self, names: Pair, R: np.ndarray, t: np.ndarray) -> tuple[float, float]:
         """The errors of R and of t."""
         (R1, centre1), (R2, centre2) = (self.scene.references[self.names.index(n)] for n in names)
@@ -117,9 +123,8 @@ def write_hloc(world: GivenWorld, folder: Path, mark: str = "/", *, sizes: bool 
 def write_npz(world: GivenWorld, folder: Path, *, named: bool = True) -> Path:
     """The world as a folder of key points of pairs. named: whether the files state the images."""
     folder.mkdir(exist_ok=True)
-    for (first, second), index in world.matches.items():
-        points1 = world.key_points[first][index[:, 0]]
-        points2 = world.key_points[second][index[:, 1]]
+    for first, second in world.matches:
+        points1, points2 = world.points((first, second))
         stated = {"image1": first, "image2": second} if named else {}
         file = f"{Path(first).name}_{Path(second).name}.npz"
         np.savez(folder / file, points1=points1, points2=points2, key_points=True, **stated)

@@ -43,8 +43,6 @@ class RenderedPair:
     K2: np.ndarray  # (3, 3) float64, pixels
     R: np.ndarray  # (3, 3) float64, x2 = R x1 + t
     t: np.ndarray  # (3,) float64, units of the scene; zero for rotation_only
-    map: np.ndarray  # (h2, w2, 2), (x, y) in pixels of image 1
-    visible: np.ndarray  # (h2, w2) bool, the surface point is seen in image 1
     depth1: np.ndarray  # (h1, w1), along the optical axis
     depth2: np.ndarray  # (h2, w2)
 
@@ -52,8 +50,8 @@ class RenderedPair:
 def render_scene_pair(
     seed: int,
     *,
-    size1: tuple[int, int] = (320, 240),
-    size2: tuple[int, int] = (320, 240),
+    size1: tuple[int, int],
+    size2: tuple[int, int],
     rotation_deg: float = 15.0,
     kind: Literal["general", "planar", "rotation_only"] = "general",
 ) -> RenderedPair:
@@ -61,8 +59,7 @@ def render_scene_pair(
     of one camera.
 
     Sizes are (width, height). kind: "general", objects in a room, orbited; "planar", the same
-    motion before a single plane; "rotation_only", the room from one centre. The same seed gives the
-    same pair.
+    motion before a single plane; "rotation_only", the room from one centre.
     """
     draw = Draw("cpu", seed, kind)
     rooms, look = random_rooms(_TRIES, _photos(), draw, _OPTIONS)
@@ -104,8 +101,6 @@ def _rendered(rooms, first, second, shape1, shape2) -> RenderedPair:
         *(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]) for fx, fy, cx, cy in K),
         U @ Vt,
         pose[:, 3],
-        pair.maps.map[0].double().numpy(),
-        pair.maps.valid[0].numpy(),
         *(depth[0].double().numpy() for depth in (pair.depth1, pair.depth2)),
     )
 

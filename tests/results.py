@@ -1,6 +1,8 @@
 """Results of pairs whose poses are made up or known."""
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -8,7 +10,7 @@ from worlds import SIZE, K
 
 from dgc_pose.batch.pairs import PairRow, row_of
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation import Hypothesis, RelativePose
+from dgc_pose.estimation import Hypothesis, RelativePose, Status
 from dgc_pose.estimation.evidence import Evidence
 
 GOOD_EVIDENCE = Evidence(
@@ -38,6 +40,7 @@ GOOD_EVIDENCE = Evidence(
     map_agreement=0.9,
     map_chance=0.2,
 )
+EYE = np.eye(3)
 PROBABILITIES = 0.52, 0.45
 INLIERS = 271, 270
 
@@ -64,19 +67,46 @@ def ambiguous_pose(count: int = 300) -> RelativePose:
     )
 
 
-def true_row(
-    names: tuple[str, str], R: np.ndarray, t: np.ndarray, status: str = "ok", count: int = 100
+def pair_row(
+    names: str | tuple[str, str],
+    status: Status = "ok",
+    R: np.ndarray = EYE,
+    t: Sequence[float] = (0.0, 0.0, 1.0),
+    *,
+    count: int = 9,
+    inliers: int | None = None,
+    **values: Any,
 ) -> PairRow:
-    """The row of a pair whose pose is known."""
+    """The row of a pair of two names, or letters, with the parts of a pose that its status has.
+
+    inliers: of `count` matches, by default all of a pose. values: further ones of the pose.
+    """
+    has_R = status in ("ok", "planar", "rotation_only")
+    if inliers is None:
+        inliers = count if has_R else 0
     pose = RelativePose(
-        status=status,  # type: ignore[arg-type]
+        status=status,
         reason="a pose",
-        inliers=np.ones(count, bool),
+        inliers=np.arange(count) < inliers,
         num_matches=count,
-        R=R,
-        t=None if status == "rotation_only" else t / np.linalg.norm(t),
+        R=R if has_R else None,
+        t=np.asarray(t) / np.linalg.norm(t) if status in ("ok", "planar") else None,
+        **values,
     )
-    return row_of(names, pose, 0.5)
+    return row_of((names[0], names[1]), pose, 0.5)
+
+
+def exif_camera(identity: str | None = "x") -> Camera:
+    """Of 100 x 80 pixels, by EXIF data."""
+    return Camera(
+        np.array([110.0, 110, 49.5, 39.5]),
+        (100, 80),
+        focal_std=0.4,
+        centre_std=5.0,
+        lens_std=0.1,
+        focal_source="exif",
+        identity=identity,
+    )
 
 
 def camera() -> Camera:

@@ -3,7 +3,7 @@ projected exactly, and matches have noise and outliers. Pixels, (0, 0) the first
 take x1 to x2 = R x1 + t."""
 
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -93,6 +93,49 @@ def normalised_problem(
     return TwoViewProblem(matches, cameras, options, points1, points2, every, threshold, cells)
 
 
+def two_views(
+    points: np.ndarray,
+    cameras: tuple[Camera, Camera],
+    pose: tuple[np.ndarray, np.ndarray],
+    rng: np.random.Generator,
+    *,
+    count: int | None = None,
+    sigma_px: float = 0.0,
+    outliers: float = 0.0,
+    everywhere: bool = False,
+) -> TwoViewScene:
+    """Matches of points (N, 3) before both cameras, in axes of camera 1, with noise of `sigma_px`
+    in each image, `outliers` of them anywhere.
+
+    pose: R (3, 3) and t (3,). count: the first so many; None: all. everywhere: also those outside
+    the images.
+    """
+    R, t = pose
+    moved = points @ R.T + t
+    ahead = np.isfinite(moved).all(1) & (points[:, 2] > 0.1) & (moved[:, 2] > 0.1)
+    seen = []
+    inside = np.ones(ahead.sum(), bool)
+    for camera, view in zip(cameras, (points[ahead], moved[ahead]), strict=True):
+        pixels = camera.project(view[:, :2] / view[:, 2:])
+        seen.append(pixels)
+        assert camera.size is not None
+        inside &= (pixels >= 0).all(1) & (pixels <= np.subtract(camera.size, 1)).all(1)
+    both = np.flatnonzero(inside | everywhere)[:count]
+    if len(both) < (count or 0):
+        raise AssertionError(f"the scene shows only {len(both)} points")
+
+    seen = [pixels[both] for pixels in seen]
+    true = np.ones(len(both), bool)
+    if sigma_px:
+        seen = [pixels + sigma_px * rng.standard_normal(pixels.shape) for pixels in seen]
+    if outliers:
+        true = rng.permutation(len(both)) >= round(outliers * len(both))
+        for pixels, camera in zip(seen, cameras, strict=True):
+            pixels[~true] = rng.random((int((~true).sum()), 2)) * camera.size
+    matches = Matches(*seen, np.ones(len(both)), max(sigma_px, 0.5))
+    return TwoViewScene(matches, cameras, R, t / (np.linalg.norm(t) or 1.0), true)
+
+
 def two_view_scene(
     kind: SceneKind = "general",
     *,
@@ -103,7 +146,7 @@ def two_view_scene(
     rotation_deg: float = 20.0,
     same_camera: bool = False,
 ) -> TwoViewScene:
-    """A scene of `count` matches, `outliers` of them anywhere, noise of `sigma_px` in each image.
+    """`two_views` of a box of points.
 
     "identical" is the same view twice, one camera; "random" has no scene at all. The optical axes
     of "skew" do not meet, so that the matches tell the focal lengths; those of "orbit" do.
@@ -115,12 +158,9 @@ def two_view_scene(
     points = rng.uniform(-1, 1, (40 * count, 3)) * (4.0, 3.0, 2.0)
     if kind == "planar":
         points[:, 2] = 0.3 * points[:, 0] - 0.2 * points[:, 1]
-    points += MIDDLE
-    seen = [project(points, cameras[0].K), project(points, cameras[1].K, *pose)]
-    ahead = (points[:, 2] > 0.1) & ((points @ pose[0].T + pose[1])[:, 2] > 0.1)
-    inside = ahead & _within(seen[0], SIZE1) & _within(seen[1], cameras[1].size)
     share = 1.0 if kind == "random" else outliers
-    return _matched(rng, seen, inside, cameras, pose, count, sigma_px, share)
+    drawn = {"count": count, "sigma_px": sigma_px, "outliers": share}
+    return two_views(points + MIDDLE, cameras, pose, rng, **drawn)
 
 
 def camera_scene(
@@ -128,30 +168,24 @@ def camera_scene(
     camera2: Camera,
     *,
     seed: int = 0,
-    count: int = 800,
-    sigma_px: float = 0.4,
-    outliers: float = 0.2,
     turn_deg: tuple[float, float, float] = (8.0, 15.0, 12.0),
     centre: tuple[float, float, float] = (1.5, 1.2, 0.3),
     depths: tuple[float, float] = (4.0, 9.0),
     weights: str | None = None,
+    **drawn: Any,
 ) -> TwoViewScene:
-    """The same of two cameras of any kind.
+    """`two_views` of cameras of any kind: 800 points that lie all over image 1.
 
     turn_deg: about x, y and z. centre: of camera 2; by default the optical axes do not meet.
     depths: the range of z in camera 1. weights: the fingerprint of the matches' network.
     """
+    drawn = {"count": 800, "sigma_px": 0.4, "outliers": 0.2} | drawn
     rng = np.random.default_rng(seed)
     R = Rotation.from_euler("xyz", turn_deg, degrees=True).as_matrix()
-    t = -R @ centre
-    pixels = rng.random((40 * count, 2)) * np.subtract(camera1.size, 1)
+    pixels = rng.random((40 * drawn["count"], 2)) * np.subtract(camera1.size, 1)
     points = np.column_stack([camera1.normalise(pixels), np.ones(len(pixels))])
     points *= rng.uniform(*depths, (len(points), 1))
-    local = points @ R.T + t
-    ahead = np.isfinite(local).all(1) & (local[:, 2] > 0.1)
-    seen = [pixels[ahead], camera2.project(local[ahead, :2] / local[ahead, 2:])]
-    inside, cameras = _within(seen[1], camera2.size), (camera1, camera2)
-    scene = _matched(rng, seen, inside, cameras, (R, t), count, sigma_px, outliers)
+    scene = two_views(points, (camera1, camera2), (R, -R @ centre), rng, **drawn)
     return replace(scene, matches=replace(scene.matches, weights=weights))
 
 
@@ -169,24 +203,16 @@ def pinhole(
     return Camera(np.array([[focal * aspect, 0, x], [0, focal, y], [0, 0, 1]]), size, lens)
 
 
-def poster_scene(
-    *, seed: int = 0, count: int = 300, sigma_px: float = 0.4, relief: float = 0.0
-) -> TwoViewScene:
+def poster_scene(*, seed: int = 0, count: int = 300, sigma_px: float = 0.4) -> TwoViewScene:
     """A tilted poster that fills a quarter of the image: few points of it, or none, lie behind a
-    camera in either of its homography's poses.
-
-    relief: of the points off the plane, as a share of its width.
-    """
+    camera in either of its homography's poses."""
     rng = np.random.default_rng(seed)
     x, y = rng.uniform(-0.8, 0.8, (count, 2)).T
     points = np.column_stack([x, y, 6 + 0.4 * x - 0.2 * y])
     R = Rotation.from_rotvec(np.radians(18) * np.array([0.3, 0.9, 0.1])).as_matrix()
     t = MIDDLE - R @ MIDDLE + 0.3 * rng.standard_normal(3)
-    noise = sigma_px * rng.standard_normal((2, count, 2))
-    points[:, 2] += 1.6 * relief * rng.uniform(-0.5, 0.5, count)
-    seen = project(points, K1) + noise[0], project(points, K1, R, t) + noise[1]
-    matches, camera = Matches(*seen, np.ones(count), max(sigma_px, 0.5)), Camera(K1, SIZE1)
-    return TwoViewScene(matches, (camera,) * 2, R, t / np.linalg.norm(t), np.ones(count, bool))
+    cameras = (Camera(K1, SIZE1),) * 2
+    return two_views(points, cameras, (R, t), rng, sigma_px=sigma_px, everywhere=True)
 
 
 def joined(scene: TwoViewScene, points1: np.ndarray, points2: np.ndarray) -> TwoViewScene:
@@ -203,33 +229,6 @@ def project(
     """Pixels (N, 2) of points (N, 3)."""
     pixels = (points @ R.T + t) @ K.T
     return pixels[:, :2] / pixels[:, 2:]
-
-
-def _within(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    return (pixels >= 0).all(1) & (pixels <= np.subtract(size, 1)).all(1)
-
-
-def _matched(
-    rng: np.random.Generator,
-    seen: list[np.ndarray],
-    inside: np.ndarray,
-    cameras: tuple[Camera, Camera],
-    pose: tuple[np.ndarray, np.ndarray],
-    count: int,
-    sigma_px: float,
-    outliers: float,
-) -> TwoViewScene:
-    """The first `count` of the points seen that lie inside both images, with noise and outliers."""
-    both = np.flatnonzero(inside)[:count]
-    if len(both) < count:
-        raise AssertionError(f"the scene shows only {len(both)} points")
-    points = [view[both] + sigma_px * rng.standard_normal((count, 2)) for view in seen]
-    true = rng.permutation(count) >= round(outliers * count)
-    for view, camera in zip(points, cameras, strict=True):
-        view[~true] = rng.random((int((~true).sum()), 2)) * camera.size
-    R, t = pose
-    matches = Matches(*points, np.ones(count), max(sigma_px, 0.5))
-    return TwoViewScene(matches, cameras, R, t / (np.linalg.norm(t) or 1.0), true)
 
 
 def _motion(

@@ -15,7 +15,6 @@ from dgc_pose import Camera, EstimationOptions, estimate_pose, load_matcher, mat
 from dgc_pose.cameras.camera import TwoViews
 from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.images.cache import ImageCache
-from dgc_pose.images.image import Image
 from dgc_pose.matchers import device_type, load_engine
 from dgc_pose.matching import MatchingOptions, MatchResult, NetworkMatcher
 from dgc_pose.network.config import preset
@@ -24,12 +23,8 @@ from dgc_pose.training.run import save_weights
 
 BARE = MatchingOptions(aligned="none")
 FAST = EstimationOptions(runs=1, iterations=300)
-
-
-@pytest.fixture(scope="module")
-def images() -> tuple[Image, Image]:
-    first, second = dense_scene.pictures()
-    return Image(first), Image(second)
+IMAGES = dense_scene.images()
+CAMERA = Camera(dense_scene.K, dense_scene.SIZE)
 
 
 @pytest.fixture(scope="module")
@@ -40,23 +35,23 @@ def network() -> NetworkMatcher:
 
 
 @pytest.fixture(scope="module")
-def refined(network: NetworkMatcher, images: tuple[Image, Image]) -> MatchResult:
-    return network.match(*images)
+def refined(network: NetworkMatcher) -> MatchResult:
+    return network.match(*IMAGES)
 
 
 def test_matches_state_the_weights_of_the_network_that_made_them(
-    images: tuple[Image, Image], network: NetworkMatcher, refined: MatchResult
+    network: NetworkMatcher, refined: MatchResult
 ) -> None:
     """Those of each step, refined or not."""
-    matcher, camera = network, Camera(dense_scene.K, dense_scene.SIZE)
-    full, coarse = refined, matcher.coarse(*images)
+    full = refined
+    coarse = network.coarse(*IMAGES)
     assert coarse is not None
-    poses = estimate_pose(full.matches, camera, camera, FAST).hypotheses
-    views = [TwoViews(camera, camera, pose.R, pose.t) for pose in poses]
-    steps = [full, coarse, matcher.refined(*images, coarse), matcher.guided(*images, full, views)]
-    steps.append(load_matcher(matching=BARE).match(*images))
-    assert all(step is not None and step.matches.weights == matcher.fingerprint for step in steps)
-    assert load_matcher("sift").match(*images).matches.weights is None
+    poses = estimate_pose(full.matches, CAMERA, CAMERA, FAST).hypotheses
+    views = [TwoViews(CAMERA, CAMERA, pose.R, pose.t) for pose in poses]
+    steps = [full, coarse, network.refined(*IMAGES, coarse), network.guided(*IMAGES, full, views)]
+    steps.append(load_matcher(matching=BARE).match(*IMAGES))
+    assert all(step is not None and step.matches.weights == network.fingerprint for step in steps)
+    assert load_matcher("sift").match(*IMAGES).matches.weights is None
 
 
 @pytest.mark.parametrize("weights", ["shipped", None])
@@ -64,23 +59,20 @@ def test_only_the_shipped_network_s_matches_have_a_probability(
     refined: MatchResult, weights: str | None
 ) -> None:
     """It is fitted on them; without, the gates decide."""
-    camera = Camera(dense_scene.K, dense_scene.SIZE)
     matches = refined.matches if weights else replace(refined.matches, weights=weights)
-    pose = estimate_pose(matches, camera, camera, FAST, map_matches=refined.map_matches)
+    pose = estimate_pose(matches, CAMERA, CAMERA, FAST, map_matches=refined.map_matches)
     assert pose.success and (pose.probability is None) == (weights is None)
     assert ("not known" in repr(pose)) == (weights is None)
 
 
 @pytest.mark.parametrize(("name", "made"), [("sift", 4), ("dgcm-lite0", 6)])
-def test_what_is_computed_of_an_image_is_kept(
-    images: tuple[Image, Image], name: str, made: int
-) -> None:
+def test_what_is_computed_of_an_image_is_kept(name: str, made: int) -> None:
     """Key points or features, and structure, of each; in a cache of any kind."""
     found = []
     for cache in (ImageCache(), None):
         matcher = load_matcher(name, cache=cache)
-        found += [matcher.match(*images).matches.points1 for _ in range(2)]
-        matcher.match(*images[::-1])
+        found += [matcher.match(*IMAGES).matches.points1 for _ in range(2)]
+        matcher.match(*IMAGES[::-1])
         assert matcher.cache.made == made
     assert all(np.array_equal(points, found[0]) for points in found)
 
@@ -109,12 +101,13 @@ def test_other_names_are_paths_to_weights() -> None:
 
 
 def test_a_coarse_pass_is_coarse_and_what_it_leads_to_is_fine(
-    images: tuple[Image, Image], network: NetworkMatcher, refined: MatchResult
+    network: NetworkMatcher, refined: MatchResult
 ) -> None:
-    coarse, full = network.coarse(*images), refined
+    full = refined
+    coarse = network.coarse(*IMAGES)
     assert coarse is not None and coarse.correspondence_map is not None
     assert max(coarse.correspondence_map.matchability.shape) < 75
-    fine = network.refined(*images, coarse)
+    fine = network.refined(*IMAGES, coarse)
     assert fine is not None and fine.correspondence_map is coarse.correspondence_map
     counts = [len(result.matches) for result in (coarse, fine, full)]
     assert 50 < counts[0] and counts[1] == pytest.approx(counts[2], rel=0.1)

@@ -24,8 +24,6 @@ from dgc_pose.matching.lightglue import FORMAT
 from dgc_pose.version import version
 
 ROOT = Path(__file__).resolve().parents[1]
-TOP_FILES = ("setup.cfg", "setup.py", "pyproject.toml", "MANIFEST.in", "LICENSE", "README.md")
-DOCUMENTS = ("CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md", "constraints.txt")
 # The folders that setup.cfg maps into the import root.
 MAPPED = {
     "dgc_pose": "dgc_pose",
@@ -39,16 +37,6 @@ def pins(file: str) -> dict[str, str]:
     """The version of each distribution that a file of pins names."""
     pairs = re.findall(r"^([\w.-]+)==([^\s+]+)", (ROOT / file).read_text(), re.MULTILINE)
     return {name.lower().replace("_", "-"): version for name, version in pairs}
-
-
-def test_what_needs_no_heavy_library_imports_none() -> None:
-    code = "import sys, {}; print([n for n in {} if n in sys.modules])"
-    heavy = ("torch", "cv2", "matplotlib", "pycolmap")
-    ground = "dgc_pose.errors, dgc_pose.cameras.camera"
-    assert run(sys.executable, "-I", "-c", code.format(ground, heavy)) == "[]"
-    rooms = ("images.image", "matches", "metrics", "geometry", "estimation")
-    names = ", ".join(f"dgc_pose.{room}" for room in rooms)
-    assert run(sys.executable, "-I", "-c", code.format(names, ("torch",))) == "[]"
 
 
 def test_every_dependency_is_pinned_within_its_range_and_told_where_it_is_missing() -> None:
@@ -70,11 +58,11 @@ def test_every_dependency_is_pinned_within_its_range_and_told_where_it_is_missin
         assert set(modules.values()) == names
 
 
-def run(*command: str | Path, cwd: Path | None = None, **environment: str) -> str:
+def run(*command: object, cwd: Path = Path("/"), **environment: str) -> str:
     """What a command prints; the test fails, with its stderr, if it does."""
     kept = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     done = subprocess.run(
-        list(map(str, command)), cwd=cwd, env=kept | environment, capture_output=True, text=True
+        [*map(str, command)], cwd=cwd, env=kept | environment, capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr[-2000:]
     return done.stdout.strip()
@@ -92,20 +80,16 @@ def build(source: Path, kind: str) -> Path:
 @pytest.fixture(scope="module")
 def release(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """A wheel, built from the sdist of a copy of the repository, and its commit."""
-    copy, unpacked = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("unpacked")
-    unwanted = shutil.ignore_patterns("__pycache__", "build.txt")
-    for folder in MAPPED:
-        shutil.copytree(ROOT / folder, copy / folder, ignore=unwanted)
-    for name in (*TOP_FILES, *DOCUMENTS):
-        shutil.copy(ROOT / name, copy)
-    (copy / ".gitignore").write_text("build/\ndist/\n*.egg-info/\n__pycache__/\n")
+    folder = tmp_path_factory.mktemp("release")
+    unwanted = ("tests", "docs", "lightglue", "build*", "dist", "shared", "*.egg-info", ".*")
+    copy = shutil.copytree(ROOT, folder / "source", ignore=shutil.ignore_patterns(*unwanted))
+    shutil.copy(ROOT / ".gitignore", copy)
     git = ("git", "-C", copy, "-c", "user.name=a", "-c", "user.email=a@b.c")
     for arguments in (("init", "-q"), ("add", "-A"), ("commit", "-q", "-m", "all")):
         run(*git, *arguments)
-    sdist = build(copy, "sdist")
-    with tarfile.open(sdist) as archive:
-        archive.extractall(unpacked, filter="data")
-    (source,) = unpacked.iterdir()
+    with tarfile.open(build(copy, "sdist")) as archive:
+        archive.extractall(folder / "unpacked", filter="data")
+    (source,) = (folder / "unpacked").iterdir()
     return build(source, "wheel"), run(*git, "rev-parse", "HEAD")
 
 
@@ -189,12 +173,7 @@ def bare(tmp_path: Path) -> dict[str, str]:
     return os.environ | {"PYTHONPATH": str(site), "HIDDEN_PACKAGES": hidden}
 
 
-def run_in(environment: dict[str, str], *words: object) -> subprocess.CompletedProcess[str]:
-    """`dgc-pose WORDS` in a process of its own, in the folder /."""
-    command = [sys.executable, "-m", "dgc_pose", *map(str, words)]
-    return subprocess.run(command, env=environment, capture_output=True, text=True, cwd="/")
-
-
+DGC_POSE = (sys.executable, "-m", "dgc_pose")
 _PAIR = [str(resources.files("dgc_pose") / "data" / "rendered" / f"image{k}.jpg") for k in (1, 2)]
 _K = ("--K1", "820,820,404.3,296.8", "--K2", "760,760,352.1,325.4")
 
@@ -228,7 +207,8 @@ def test_what_a_command_lacks_is_told_with_the_command_that_installs_it(
 ) -> None:
     (tmp_path / "dgcm.pth").touch()
     (tmp_path / "1.heic").write_bytes(b"\0\0\0\x18ftypheic" + bytes(2000))
-    done = run_in(bare, *(word.replace("{}", str(tmp_path)) for word in words))
+    command = [*DGC_POSE, *(word.replace("{}", str(tmp_path)) for word in words)]
+    done = subprocess.run(command, env=bare, capture_output=True, text=True, cwd="/")
     lines = [line for line in done.stderr.splitlines() if not line.startswith("warning: ")]
     assert (done.returncode, lines) == (2, ["error: " + told.replace("{}", str(tmp_path))])
 
@@ -238,27 +218,21 @@ def test_poses_matches_batches_and_models_are_made_without_an_extra(
     bare: dict[str, str], tmp_path: Path
 ) -> None:
     """And every command has its help."""
-
-    def run(*words: object) -> str:
-        done = run_in(bare, *words)
-        assert done.returncode == 0, done.stderr
-        return done.stdout
-
     code = (
         "import click; from dgc_pose.cli.main import SUBCOMMANDS, main\n"
         "for name in SUBCOMMANDS: main.get_command(click.Context(main), name)"
     )
-    subprocess.run([sys.executable, "-c", code], env=bare, check=True, cwd="/")
+    run(sys.executable, "-c", code, **bare)
     outputs = ("--json", "-", "--plot", tmp_path / "pose.png", "--map", tmp_path / "map.npz")
-    assert json.loads(run("estimate", *_PAIR, *_K, *outputs))["success"]
-    run("info")
+    assert json.loads(run(*DGC_POSE, "estimate", *_PAIR, *_K, *outputs, **bare))["success"]
+    run(*DGC_POSE, "info", **bare)
     photos, batch, model = (tmp_path / name for name in ("photos", "batch", "model"))
     write_views(photos, render_views(4))
-    K = ("--K", K_text())
-    run("batch", photos, "--pairs", "sequential:1", *K, "--out", batch, "--workers", 2)
+    words = (photos, "--K", K_text(), "--workers", 2, "--out")
+    run(*DGC_POSE, "batch", *words, batch, "--pairs", "sequential:1", **bare)
     rows = [json.loads(line) for line in (batch / "pairs.jsonl").read_text().splitlines()]
     assert [row["status"] for row in rows] == ["ok"] * 3
-    run("reconstruct", photos, *K, "--out", model, "--workers", 1)
+    run(*DGC_POSE, "reconstruct", *words, model, **bare)
     assert json.loads((model / "summary.json").read_text())["registered"] == 4
 
 

@@ -11,7 +11,6 @@ import dense_scene
 import numpy as np
 import pytest
 import torch
-from rendered import RenderedPair, render_scene_pair
 
 from dgc_pose import (
     Camera,
@@ -28,75 +27,73 @@ from dgc_pose import (
 from dgc_pose.matching.key_points import SiftMatcher
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
+SIFT = SiftMatcher()
+K1 = dense_scene.K
+WIDE = (400, 240)  # of image 2
+K2 = Camera(K1, dense_scene.SIZE).resized(WIDE).K
+
 
 @pytest.fixture(scope="module")
-def pair() -> RenderedPair:
-    return render_scene_pair(5, size1=(640, 480), size2=(560, 520), rotation_deg=12)
+def pair() -> tuple[np.ndarray, np.ndarray]:
+    first, second = dense_scene.pictures()
+    return first, cv2.resize(second, WIDE)
 
 
-def test_arrays_tensors_and_paths_give_the_same_pose(pair: RenderedPair, tmp_path: Path) -> None:
-    paths = []
-    for index, image in enumerate((pair.image1, pair.image2)):
-        paths.append(tmp_path / f"{index}.png")
-        cv2.imwrite(str(paths[-1]), image[..., ::-1])
-    tensors = [
-        torch.from_numpy(i).permute(2, 0, 1).float() / 255 for i in (pair.image1, pair.image2)
-    ]
+def test_pictures_and_cameras_in_any_form_give_the_same_pose(
+    pair: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    paths = [tmp_path / "1.png", tmp_path / "2.png"]
+    for path, image in zip(paths, pair, strict=True):
+        cv2.imwrite(str(path), image[..., ::-1])
+    tensors = [torch.from_numpy(image).permute(2, 0, 1).float() / 255 for image in pair]
+    numbers = [K[(0, 1, 0, 1), (0, 1, 2, 2)].tolist() for K in (K1, K2)]
     poses = [
-        estimate_relative_pose(a, b, pair.K1, pair.K2, matcher=SiftMatcher())
-        for a, b in ((pair.image1, pair.image2), paths, tensors)
+        estimate_relative_pose(*pair, K1, K2, matcher=SIFT),
+        estimate_relative_pose(*paths, *numbers, matcher="sift"),
+        estimate_relative_pose(*tensors, K1, K2, matcher=SIFT),
     ]
     for pose in poses:
         assert pose.success and pose.status == "ok"
-        assert rotation_error_deg(pose.R, pair.R) < 0.5
-        assert translation_error_deg(pose.t, pair.t) < 2.0
+        assert rotation_error_deg(pose.R, dense_scene.R) < 0.5
+        assert translation_error_deg(pose.t, dense_scene.T) < 2.0
         assert np.array_equal(pose.R, poses[0].R) and np.array_equal(pose.t, poses[0].t)
         assert set(pose.seconds) == {"load", "full", "estimate"}
+    fov = 2 * np.degrees(np.arctan(dense_scene.SIZE[0] / 2 / K1[0, 0]))
+    seen = estimate_relative_pose(*dense_scene.pictures(), fov=fov, matcher="sift")
+    np.testing.assert_allclose([seen.K1, seen.K2], [K1, K1])
+    assert rotation_error_deg(seen.R, dense_scene.R) < 0.5
 
 
-def test_a_matcher_by_its_name_and_cameras_by_four_numbers_or_a_field_of_view() -> None:
-    pictures, K = dense_scene.pictures(), dense_scene.K
-    fov = 2 * np.degrees(np.arctan(dense_scene.SIZE[0] / 2 / K[0, 0]))
-    poses = [
-        estimate_relative_pose(*pictures, K, matcher=SiftMatcher()),
-        estimate_relative_pose(*pictures, K[(0, 1, 0, 1), (0, 1, 2, 2)].tolist(), matcher="sift"),
-        estimate_relative_pose(*pictures, fov=fov, matcher="sift"),
-    ]
-    assert poses[0].success
-    for pose in poses[1:]:
-        np.testing.assert_allclose(pose.R, poses[0].R, atol=1e-6)
-        np.testing.assert_allclose(pose.t, poses[0].t, atol=1e-6)
-
-
-def test_what_is_masked_takes_no_part(pair: RenderedPair, tmp_path: Path) -> None:
-    """A thing that moved over both images, which has a third of the matches without masks. One mask
-    is an array, the other a file of half the size."""
-    images, masks = [pair.image1.copy(), pair.image2.copy()], []
-    thing = np.random.default_rng(0).integers(0, 256, (60, 40, 3), np.uint8)
-    thing = cv2.resize(thing, (240, 360), interpolation=cv2.INTER_CUBIC)
-    for image, x in zip(images, (60, 280), strict=True):
-        image[100:460, x : x + 240] = thing
+def test_what_is_masked_takes_no_part(pair: tuple[np.ndarray, np.ndarray], tmp_path: Path) -> None:
+    """A thing that moved over both images. One mask is an array, the other a file of half the
+    size."""
+    images = [image.copy() for image in pair]
+    masks = []
+    noise = np.random.default_rng(0).integers(0, 256, (30, 20, 3), np.uint8)
+    thing = cv2.resize(noise, (120, 180), interpolation=cv2.INTER_CUBIC)
+    for image, x in zip(images, (30, 190), strict=True):
+        image[40:220, x : x + 120] = thing
         masks.append(np.ones(image.shape[:2], bool))
-        masks[-1][100:460, x : x + 240] = False
+        masks[-1][40:220, x : x + 120] = False
     path = tmp_path / "mask.png"
     cv2.imwrite(str(path), masks[1][::2, ::2] * np.uint8(255))
-    given = (*images, pair.K1, pair.K2)
-    without = estimate_relative_pose(*given, matcher="sift")
-    pose = estimate_relative_pose(*given, matcher="sift", mask1=masks[0], mask2=path)
+    given = (*images, K1, K2)
+    without = estimate_relative_pose(*given, matcher=SIFT)
+    pose = estimate_relative_pose(*given, matcher=SIFT, mask1=masks[0], mask2=path)
     assert pose.num_matches < 0.7 * without.num_matches
-    assert pose.success and rotation_error_deg(pose.R, pair.R) < 0.5
-    assert translation_error_deg(pose.t, pair.t) < 3
-    with pytest.raises(InputError, match="mask2 is 640 x 480 and the image 560 x 520"):
-        estimate_relative_pose(*given, matcher="sift", mask2=masks[0])
+    assert pose.success and rotation_error_deg(pose.R, dense_scene.R) < 0.5
+    assert translation_error_deg(pose.t, dense_scene.T) < 3
+    with pytest.raises(InputError, match="mask2 is 320 x 240 and the image 400 x 240"):
+        estimate_relative_pose(*given, matcher=SIFT, mask2=masks[0])
 
 
 @pytest.mark.parametrize(
     "values", [(None, None), ("auto:two", "auto:two"), ("auto", dense_scene.K)]
 )
 def test_the_matches_tell_the_focal_length_that_is_not_known(values: tuple[Any, ...]) -> None:
-    images, (K1, K2) = [Image(pixels) for pixels in dense_scene.pictures()], values
+    images = [*dense_scene.images()]
     matcher = dense_scene.MapMatcher(dense_scene.true_map(error_px=0.2))
-    result = solve_pair(*images, pair_cameras(K1, K2, *images), matcher)
+    result = solve_pair(*images, pair_cameras(*values, *images), matcher)
     pose, truth = result.pose, dense_scene.K[0, 0]
     assert pose.success
     cameras = (result.camera1, result.camera2), (result.prior1, result.prior2)
@@ -114,7 +111,6 @@ def test_the_matches_tell_the_focal_length_that_is_not_known(values: tuple[Any, 
 
 IMAGE = np.zeros((40, 50, 3), np.uint8)
 K = np.array([[50.0, 0, 24.5], [0, 50, 19.5], [0, 0, 1]])
-SIFT = SiftMatcher()
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,6 @@ from dgc_pose import (
     solve_pair,
 )
 from dgc_pose.cameras.camera import TwoViews
-from dgc_pose.cameras.pair_list import bundled_photographs
 from dgc_pose.estimation.options import Effort
 from dgc_pose.estimation.problem import Hypothesis
 from dgc_pose.images.cache import ImageCache
@@ -93,7 +92,7 @@ def _doubt(probability: float | None, others: float = 0.0) -> dict[str, Any]:
         return {"probability": None, "any_probability": None}
     total = probability + others
     values = {"probability": probability, "any_probability": total}
-    return values | {"hypotheses": (_of_share(probability / total),)}
+    return values | {"hypotheses": (_hypothesis(probability / total),)}
 
 
 def _refused(probability: float, **evidence: Any) -> dict[str, Any]:
@@ -107,16 +106,13 @@ def _refused(probability: float, **evidence: Any) -> dict[str, Any]:
     }
 
 
-def _of_share(share: float) -> Hypothesis:
+def _hypothesis(share: float) -> Hypothesis:
     inliers, in_front = np.ones((2, 9), dtype=bool)
     return Hypothesis(np.eye(3), np.array([1.0, 0, 0]), inliers, in_front, share=share)
 
 
-CERTAIN: dict[str, Any] = {
-    "probability": 0.995,
-    "any_probability": 0.995,
-    "hypotheses": (_of_share(1.0),),
-}
+SECOND = ["coarse", "full", "guided", "second"]  # all steps of a pose
+CERTAIN = _doubt(0.995)
 ROTATION = _doubt(0.0, 0.5) | {"status": "rotation_only"}
 LOOSE, LOOSER = (CERTAIN | {"covariance": variance * np.eye(6)} for variance in (1e-4, 1e-2))
 OTHER_CAMERAS = CERTAIN | {"evidence": replace(GOOD_EVIDENCE, camera_agreement=0.98)}
@@ -132,26 +128,13 @@ OTHER_CAMERAS = CERTAIN | {"evidence": replace(GOOD_EVIDENCE, camera_agreement=0
         ("auto", [LOOSER], ["coarse", "refine", "guided"]),
         ("auto", [OTHER_CAMERAS], ["coarse", "refine"]),  # few matches tell cameras apart less
         ("auto", [_doubt(None)], ["coarse", "full"]),  # nothing to compare with
-        (
-            "auto",
-            [_doubt(0.5)],
-            ["coarse", "full", "guided", "second"],
-        ),  # a pose is of no mirror image
-        (
-            "auto",
-            [_doubt(0.5, 0.495)],
-            ["coarse", "full", "guided", "second"],
-        ),  # one of two is right
-        ("auto", [_refused(0.4)], ["coarse", "full", "guided", "second", "mirrored"]),
+        ("auto", [_doubt(0.5)], SECOND),  # a pose is of no mirror image
+        ("auto", [_doubt(0.5, 0.495)], SECOND),  # one of two is right
+        ("auto", [_refused(0.4)], [*SECOND, "mirrored"]),
         ("auto", [_refused(0.001)], ["coarse", "full", "second", "mirrored"]),  # hopeless
-        # The camera is what is wrong.
-        ("auto", [_refused(0.4, camera_model="focal")], ["coarse", "full", "guided", "second"]),
-        (
-            "auto",
-            [ROTATION | {"hypotheses": (_of_share(0.8),)}],
-            ["coarse", "full", "guided", "second"],
-        ),
-        ("auto", [ROTATION | {"hypotheses": (_of_share(1.0),)}], ["coarse", "full"]),
+        ("auto", [_refused(0.4, camera_model="focal")], SECOND),  # the camera is what is wrong
+        ("auto", [ROTATION | {"hypotheses": (_hypothesis(0.8),)}], SECOND),
+        ("auto", [ROTATION | {"hypotheses": (_hypothesis(1.0),)}], ["coarse", "full"]),
         ("fast", [_refused(0.4)], ["coarse", "mirrored"]),
         ("thorough", [CERTAIN], ["full"]),
         ("thorough", [LOOSE, CERTAIN], ["full", "guided"]),
@@ -172,25 +155,20 @@ def test_steps_are_done_as_long_as_they_may_change_the_answer(
     assert len(last) == -(-len(matcher._match(*PICTURES).matches) // expected)
 
 
-@pytest.mark.parametrize(("before", "after"), [(0.9, 0.6), (0.6, 0.9)])
+@pytest.mark.parametrize(
+    ("before", "after", "last"), [(0.9, 0.6, 2), (0.6, 0.9, 3), (0.9, None, 2)]
+)
 def test_the_likelier_pose_stays_with_its_matches_after_the_second_step(
-    monkeypatch: pytest.MonkeyPatch, before: float, after: float
+    monkeypatch: pytest.MonkeyPatch, before: float, after: float | None, last: int
 ) -> None:
+    """None: the second matcher adds nothing. It has its seconds and no estimate."""
     estimated = _with(monkeypatch, *3 * [_doubt(before)], _doubt(after))
+    if after is None:
+        monkeypatch.setattr(_Steps, "second", lambda matcher, image1, image2, result: result)
     result = solve_pair(*PICTURES, (EXACT, EXACT), _Steps(), OPTIONS)
-    assert result.pose.probability == max(before, after)
-    assert result.matches is estimated[2 if before > after else 3]
-    assert list(result.pose.seconds) == ["coarse", "full", "guided", "second", "estimate"]
-
-
-def test_a_second_matcher_that_adds_nothing_has_its_seconds_and_no_estimate(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    estimated = _with(monkeypatch, _doubt(0.9))
-    monkeypatch.setattr(_Steps, "second", lambda matcher, image1, image2, result: result)
-    result = solve_pair(*PICTURES, (EXACT, EXACT), _Steps(), OPTIONS)
-    assert len(estimated) == 3 and result.matches is estimated[-1]
-    assert list(result.pose.seconds) == ["coarse", "full", "guided", "second", "estimate"]
+    assert result.pose.probability == max(before, after or 0)
+    assert result.matches is estimated[last] and len(estimated) == 3 + (after is not None)
+    assert list(result.pose.seconds) == [*SECOND, "estimate"]
 
 
 def test_cameras_that_are_not_exact_have_all_steps(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -199,7 +177,7 @@ def test_cameras_that_are_not_exact_have_all_steps(monkeypatch: pytest.MonkeyPat
     first, second = replace(EXACT, focal_std=0.05), EXACT
     matcher = _Steps()
     solve_pair(*PICTURES, (first, second), matcher, OPTIONS)
-    assert matcher.steps == ["coarse", "full", "guided", "second", "mirrored"]
+    assert matcher.steps == [*SECOND, "mirrored"]
     assert matcher.views
     for views in matcher.views:
         fitted = views.camera1
@@ -212,8 +190,8 @@ def test_features_are_kept_of_the_two_images_and_not_of_the_mirror_image() -> No
     cache = ImageCache()
     matcher = load_matcher(cache=cache)
     noise = np.random.default_rng(0).integers(0, 256, (2, 240, 320, 3), dtype=np.uint8)
-    for first, second in (map(load_image, bundled_photographs()), map(load_image, noise)):
+    for first, second in (PICTURES, map(load_image, noise)):
         for image in list(cache._kept):
             cache.forget(image)
-        estimate_relative_pose(first, second, matcher=matcher)
+        estimate_relative_pose(first, second, EXACT, matcher=matcher)
         assert set(cache._kept) == {first, second}

@@ -1,12 +1,15 @@
 """Scenes of many views: rendered views of planes in a corner of a room, ray-cast; and points of a
 world, references on an arc and a photograph, which a localization starts from."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pycolmap
+from scenes import TwoViewScene, two_views
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.cameras.camera import Camera
@@ -48,12 +51,12 @@ def render_views(
     *,
     seed: int = 0,
     step: float = 0.35,
-    textures: list[np.ndarray] | None = None,
     K: np.ndarray = K,
     size: tuple[int, int] = SIZE,
 ) -> list[View]:
     """Views of cameras on an arc of `step` units between neighbours, which look at the middle."""
-    textures, views = textures or draw_textures(seed), []
+    textures = draw_textures(seed)
+    views = []
     for i in range(count):
         x = (i - (count - 1) / 2) * step
         centre = np.array([x, 0.15 * np.sin(2.0 * i), 0.05 * x * x + 0.1 * np.cos(1.5 * i)])
@@ -83,6 +86,7 @@ def K_text(K: np.ndarray = K) -> str:
     return f"{K[0, 0]},{K[1, 1]},{K[0, 2]},{K[1, 2]}"
 
 
+@cache
 def draw_textures(seed: int = 0) -> list[np.ndarray]:
     """Of the planes."""
     rng, side, textures = np.random.default_rng(seed), int(8 * _TEXELS), []
@@ -168,16 +172,20 @@ class WorldScene:
         seen = (self.points - centre) @ R.T
         return camera.project(seen[:, :2] / seen[:, 2:])
 
-    def matches(self, number: int, *, outliers: float = 0.2, seed: int = 0) -> Matches:
-        """Of a reference and the photograph, with errors."""
+    def seen(self, number: int, *, outliers: float = 0.2, seed: int = 0) -> TwoViewScene:
+        """By a reference and the photograph, with errors."""
+        R, centre = self.references[number]
+        pose = self.R @ R.T, self.R @ (centre - self.centre)
+        cameras = CAMERA, PHOTO_CAMERA
         rng = np.random.default_rng((seed, number))
-        points1 = self.pixels(CAMERA, *self.references[number])
-        points2 = self.pixels(PHOTO_CAMERA, self.R, self.centre)
-        points1 += rng.normal(0, NOISE_PX, points1.shape)
-        points2 += rng.normal(0, NOISE_PX, points2.shape)
-        wrong = rng.random(len(points1)) < outliers
-        points2[wrong] = rng.uniform(0, IMAGE, (wrong.sum(), 2))
-        return Matches(points1, points2, np.ones(len(points1)), 2 * NOISE_PX)
+        points = (self.points - centre) @ R.T
+        scene = two_views(points, cameras, pose, rng, sigma_px=NOISE_PX, everywhere=True)
+        wrong = rng.random(len(points)) < outliers
+        scene.points2[wrong] = rng.uniform(0, IMAGE, (wrong.sum(), 2))
+        return replace(scene, matches=replace(scene.matches, error_px=2 * NOISE_PX))
+
+    def matches(self, number: int, *, outliers: float = 0.2, seed: int = 0) -> Matches:
+        return self.seen(number, outliers=outliers, seed=seed).matches
 
     def pair_pose(
         self, number: int, seed: int = 0, probability: float | None = 0.98
@@ -189,11 +197,10 @@ class WorldScene:
     def sight(
         self, number: int, seed: int = 0, photo: Camera = PHOTO_CAMERA
     ) -> PairCorrespondences:
-        R, centre = self.references[number]
-        problem = TwoViewProblem.of(self.matches(number, seed=seed), CAMERA, photo, OPTIONS)
-        t = self.R @ (centre - self.centre)
-        hypothesis = Hypothesis.of_pose(problem, self.R @ R.T, t / np.linalg.norm(t))
-        return PairCorrespondences(R, centre, problem, [hypothesis])
+        scene = self.seen(number, seed=seed)
+        problem = TwoViewProblem.of(scene.matches, CAMERA, photo, OPTIONS)
+        hypothesis = Hypothesis.of_pose(problem, scene.R, scene.t)
+        return PairCorrespondences(*self.references[number], problem, [hypothesis])
 
     @property
     def pose(self) -> WorldPose:
@@ -218,6 +225,29 @@ def world_scene(
     return WorldScene(points, *facing(np.array([0.1, -0.2, 0.15]), 0.2), references)
 
 
+def colmap_model(
+    names: Sequence[str],
+    references: Sequence[tuple[np.ndarray, np.ndarray]],
+    camera: pycolmap.Camera,
+    points: Sequence[np.ndarray] = (),
+) -> pycolmap.Reconstruction:
+    """Images of one camera with R (3, 3) and centre (3,); points (3,) in the first two images."""
+    camera.camera_id = 1
+    model = pycolmap.Reconstruction()
+    model.add_camera_with_trivial_rig(camera)
+    for number, (name, (R, centre)) in enumerate(zip(names, references, strict=False), start=1):
+        seen = np.array([camera.img_from_cam(R @ (point - centre)) for point in points])
+        image = pycolmap.Image(name, camera_id=1, image_id=number, keypoints=seen.reshape(-1, 2))
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(R), -R @ centre)
+        model.add_image_with_trivial_frame(image, pose)
+    for index, point in enumerate(points):
+        track = pycolmap.Track()
+        for number in (1, 2):
+            track.add_element(number, index)
+        model.add_point3D(point, track)
+    return model
+
+
 def write_colmap(
     scene: WorldScene, folder: Path, camera: pycolmap.Camera | None = None, *, binary: bool = True
 ) -> Path:
@@ -225,20 +255,7 @@ def write_colmap(
     if camera is None:
         camera = pycolmap.Camera.create_from_model_name(1, "PINHOLE", 1.0, *IMAGE)
         camera.params = [CAMERA.K[0, 0], CAMERA.K[1, 1], *(CAMERA.K[:2, 2] + 0.5)]
-    camera.camera_id = 1
-    model = pycolmap.Reconstruction()
-    model.add_camera_with_trivial_rig(camera)
-    views = zip(scene.names, scene.references, strict=True)
-    for number, (name, (R, centre)) in enumerate(views, start=1):
-        seen = camera.img_from_cam((scene.points - centre) @ R.T)
-        image = pycolmap.Image(name=name, camera_id=1, image_id=number, keypoints=seen)
-        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(R), -R @ centre)
-        model.add_image_with_trivial_frame(image, pose)
-    for index, point in enumerate(scene.points):
-        track = pycolmap.Track()
-        for number in (1, 2):
-            track.add_element(number, index)
-        model.add_point3D(point, track)
+    model = colmap_model(scene.names, scene.references, camera, scene.points)
     folder.mkdir(parents=True)
     (model.write_binary if binary else model.write_text)(folder)
     return folder

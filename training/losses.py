@@ -173,7 +173,6 @@ class DecoderStage(nn.Module):
         return total, figures
 
     def _level_loss(self, level: int, state: Tensor, truth: MapPairs) -> tuple[Tensor, Tensor]:
-        """The loss of a level's state, and its mean error in pixels."""
         config = self.net.config
         size = _grid(truth.image1)[::-1]
         points = to_pixels(state[:, :2].movedim(1, -1), size, config.align_corners)

@@ -99,14 +99,14 @@ def random_rooms(
 
 
 def random_textures(
-    count: int, primitives: int, photos: Photos, draw: Draw, of_layers: Spans
+    count: int, primitives: int, photos: Photos, draw: Draw, layers: Spans
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Random photographs, spans, origins, weights and gains for `Rooms`; half of the primitives
     have the same photograph on all faces."""
     faces = count, primitives, FACES
     photo = draw.integers(*faces, LAYERS, count=photos.single)
     photo = torch.where(draw.chance(count, primitives, 1, 1, share=0.5), photo[:, :, :1], photo)
-    spans = [draw.log_uniform(*faces, low=low, high=high) for low, high in of_layers]
+    spans = [draw.log_uniform(*faces, low=low, high=high) for low, high in layers]
     span = torch.stack(spans, -1)
     span[:, 0] *= 2
     second = draw.uniform(*faces, high=0.6) * draw.chance(*faces, share=0.65)

@@ -238,7 +238,9 @@ class Trainer:
             draw = Draw(self.device, "validation")
             with torch.no_grad():
                 found = [self.average(pairs, draw, 1.0)[1] for pairs in batches]
-            means = {name: float(np.mean([float(of[name]) for of in found])) for name in found[0]}
+            means = {
+                name: float(np.mean([float(losses[name]) for losses in found])) for name in found[0]
+            }
             stage["figures"][kind] = row.setdefault("validation", {})[kind] = means
             print(f"    validation, {kind}:  {_text(means)}", file=sys.stderr)
         self.rows.append(row)
@@ -253,7 +255,9 @@ class Trainer:
             posed = f"{len(pairs.frames.unique())} of {scenes}, {len(pairs.frames)} pairs train"
         threads = f"{platform.machine()}, {torch.get_num_threads()} threads"
         rows = {
-            **{name: of for name, of in vars(self.options).items() if of not in (None, ())},
+            **{
+                name: value for name, value in vars(self.options).items() if value not in (None, ())
+            },
             "photographs": f"{photos.single}, and {len(photos.places)} places in other light",
             "posed photographs": posed,
             "hardware": torch.cuda.get_device_name(self.device) if cuda else threads,

@@ -56,11 +56,7 @@ def fit_model(rows: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
 
     Raises InputError for too few right poses, wrong poses or scenes.
     """
-    samples = [
-        (row, row.evidence)
-        for row in rows
-        if row.entry.part == "fit" and row.entry.kind != "pasted" and row.evidence
-    ]
+    samples = [sample for sample in _fitted(rows) if sample[0].entry.kind != "pasted"]
     right = np.array([row.any_right for row, _ in samples], bool)
     scenes = np.array([row.scene for row, _ in samples])
     counts = (right.sum(), (~right).sum())
@@ -85,11 +81,11 @@ def fit_model(rows: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
     weights, intercept = _logistic(X, right, signs, strength)
     medians = np.median(X[right], axis=0)
     used = [column for column, weight in enumerate(weights) if weight != 0]
-    accurate = [
-        (row, evidence)
-        for row, evidence in samples
-        if row.exact and row.best.right and (row.cameras == "exact" or row.exact_cameras)
-    ]
+    accurate = []
+    for row, evidence in samples:
+        is_measured = row.exact and (row.cameras == "exact" or row.exact_cameras)
+        if is_measured and row.best.right:
+            accurate.append((row, evidence))
     return {
         "weights": {names[k]: round(slope * weights[k], 6) for k in used},
         "intercept": round(slope * intercept + offset, 6),
@@ -98,6 +94,12 @@ def fit_model(rows: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
         "translation_error": _error_model(accurate, "translation"),
         "choice": fit_choice([row for row, _ in samples], with_map=kind.startswith("network")),
     }
+
+
+def _fitted(rows: Sequence[Record]) -> list[tuple[Record, Evidence]]:
+    """The records of the part `fit` that have evidence, with it."""
+    known = [(row, row.evidence) for row in rows if row.entry.part == "fit"]
+    return [(row, evidence) for row, evidence in known if evidence is not None]
 
 
 def fit_choice(rows: Sequence[Record], *, with_map: bool) -> dict[str, float]:
@@ -114,9 +116,9 @@ def fit_choice(rows: Sequence[Record], *, with_map: bool) -> dict[str, float]:
     right = [np.array([pose.right for pose in poses]) for poses in several]
 
     def loss(weights: np.ndarray) -> float:
-        *of_features, lapse = weights
+        *slopes, lapse = weights
         chances = [
-            choice_shares(values @ of_features, lapse)[true].sum()
+            choice_shares(values @ slopes, lapse)[true].sum()
             for values, true in zip(features, right, strict=True)
         ]
         return float(_RIDGE * (weights**2).sum() - np.log(np.maximum(chances, 1e-12)).sum())
@@ -130,17 +132,12 @@ def fit_choice(rows: Sequence[Record], *, with_map: bool) -> dict[str, float]:
 def fit_focal_error(rows: Sequence[Record]) -> dict[str, float]:
     """Fit the `ErrorModel` of focal lengths to the records of the part `fit` that estimated a focal
     length and whose pose is not far off. With too few records, raw errors stay as they are."""
-    samples = [
-        (row, row.evidence)
-        for row in rows
-        if row.entry.part == "fit"
-        and row.exact
-        and row.evidence
-        and row.evidence.raw_focal_90_percent is not None
-        and row.exact_cameras
-        and row.best.rotation_error_deg < _MOST_FOCAL_FIT_DEG
-        and folded(row.best.translation_error_deg) < _MOST_FOCAL_FIT_DEG
-    ]
+    samples = []
+    for row, evidence in _fitted(rows):
+        error_deg = max(row.best.rotation_error_deg, folded(row.best.translation_error_deg))
+        is_measured = row.exact and row.exact_cameras and error_deg < _MOST_FOCAL_FIT_DEG
+        if is_measured and evidence.raw_focal_90_percent is not None:
+            samples.append((row, evidence))
     if len(samples) < _MIN_POSES:
         return {"slope": 0.0, "intercept": 0.0}
     return _error_model(samples, "focal")

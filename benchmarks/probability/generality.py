@@ -36,7 +36,8 @@ def generality_text(rows: Mapping[str, Sequence[Record]], kind: MatchKind) -> st
         own = fitted_on if left_out == _NONE else [left_out]
         for name in (*own, *others):
             for part, models in fields.items():
-                poses = _of_part(rows[name], part, [one_place(f, kind) for f in models])
+                fitted_models = [one_place(fields, kind) for fields in models]
+                poses = _judged(rows[name], part, fitted_models)
                 table.append((name, left_out, part, *_cells(poses)))
                 if name in own:
                     without = _NONE if left_out == _NONE else "each"
@@ -67,7 +68,7 @@ def _fold(row: Record) -> int:
     return sum(row.scene.encode()) % _FOLDS
 
 
-def _of_part(rows: Iterable[Record], part: str, models: Sequence[ProbabilityModel]) -> list[Judged]:
+def _judged(rows: Iterable[Record], part: str, models: Sequence[ProbabilityModel]) -> list[Judged]:
     if part == "report":
         return [judged(row, models[0]) for row in rows if row.entry.part == "report"]
     return [judged(row, models[_fold(row)]) for row in rows if row.entry.part == "fit"]

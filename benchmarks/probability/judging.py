@@ -40,13 +40,13 @@ def judged(record: Record, model: ProbabilityModel) -> Judged:
         return Judged(record, False, 0.0, math.nan, math.nan)
     any_right = model.probability(evidence)
     utilities = [utility(p.likelihood, p.map_agreement, model.choice) for p in record.poses]
-    of_poses = choice_shares(utilities, model.choice["lapse"])
-    order = np.argsort(-of_poses, kind="stable")
-    share = float(of_poses[order[0]])
+    shares = choice_shares(utilities, model.choice["lapse"])
+    order = np.argsort(-shares, kind="stable")
+    share = float(shares[order[0]])
     rotation, translation = model.errors_90_deg(evidence)
     same_place = model.same_place.probability(evidence)
     verdict = judge(
-        *(evidence, EstimationOptions().min_probability, any_right, (), of_poses[order].tolist()),
+        *(evidence, EstimationOptions().min_probability, any_right, (), shares[order].tolist()),
         same_place,
     )
     known = STATUSES[verdict.status]

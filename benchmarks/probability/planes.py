@@ -85,8 +85,8 @@ def _wall(photos: Photos, draw: Draw, tile: float, relief: float) -> Rooms:
     middle = [draw.uniform(boxes, 2, low=-0.5, high=0.5), (_BEHIND - height) / 2]
     sides = [draw.log_uniform(boxes, 2, low=0.05, high=0.2), (height + _BEHIND) / 2]
     centre = torch.cat([F.pad(tiles, (0, 1), value=_BEHIND), torch.column_stack(middle)])
-    of_tile = torch.tensor([[tile / 2, tile / 2, _BEHIND]]).expand(_TILES**2, 3)
-    half = torch.cat([of_tile, torch.column_stack(sides)])
+    tiles_half = torch.tensor([[tile / 2, tile / 2, _BEHIND]]).expand(_TILES**2, 3)
+    half = torch.cat([tiles_half, torch.column_stack(sides)])
     spans = ((tile, tile * 1.001),) * 2
     count = 1 + len(half)
     photo, span, origin, weight, gain = random_textures(1, count, photos, draw, spans)

@@ -107,16 +107,16 @@ def collect(
             pooled = solve_pair(*images, cameras, matcher, _THOROUGH).matches
             if not np.array_equal(pooled.points1, matches.points1):
                 matches = pooled  # the pose was in doubt: these include matches searched again
-        of_map = found.map_matches
-        results[name] = [record(posed, "exact", matches, cameras, of_map, options)]
+        on_map = found.map_matches
+        results[name] = [record(posed, "exact", matches, cameras, on_map, options)]
         if entry.withheld and pair.turn % entry.withheld == 0:
-            results[name].append(record(posed, "auto", found.matches, withheld, of_map, options))
+            results[name].append(record(posed, "auto", found.matches, withheld, on_map, options))
     focals = []
     if entry.part == "fit" and entry.kind == "list":
-        for camera, (of_image, count) in zip(cameras, scores, strict=True):
+        for camera, (score, count) in zip(cameras, scores, strict=True):
             assert camera.size is not None
             true = float(np.log(camera.focal / max(camera.size)))
-            focals.append((true, of_image.tolist(), count))
+            focals.append((true, score.tolist(), count))
     return {
         "entry": entry.name,
         "number": pair.number,
@@ -201,7 +201,7 @@ def _withheld(
         replace(auto_camera(Header("", size)), identity=identity)
         for size in (camera1.size, camera2.size)
     ]
-    first, second = by_lines(assumed, [calibrated(*of_image) for of_image in scores])
+    first, second = by_lines(assumed, [calibrated(*found) for found in scores])
     return first, second
 
 

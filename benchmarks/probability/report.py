@@ -79,7 +79,6 @@ def claims_table(poses: Sequence[Judged]) -> str:
 
 
 def _calibration(poses: Sequence[Judged]) -> np.ndarray:
-    """`reliability` of the probability, over the poses with evidence."""
     known = [pose for pose in poses if pose.record.evidence is not None]
     right = np.array([pose.right for pose in known], bool)
     return reliability(np.array([pose.probability for pose in known]), right)
@@ -167,15 +166,14 @@ def fit_all(
 def _fit_place(rows: Sequence[Record], fitted: Mapping[MatchKind, Any]) -> dict[str, float]:
     """The `SamePlace` of a network's records, by the claims of its model."""
     claims = [judged(row, one_place(fitted["network"], "network")) for row in rows]
-    known = [
-        (claim.record.evidence.context_ratio, claim.right)
-        for claim in claims
-        if claim.by_probability
-        and claim.record.entry.part == "fit"
-        and (claim.right or claim.record.entry.kind == "pasted")
-        and claim.record.evidence is not None
-        and claim.record.evidence.context_ratio is not None
-    ]
+    known = []
+    for claim in claims:
+        record = claim.record
+        is_known = claim.right or record.entry.kind == "pasted"
+        if record.entry.part != "fit" or not (claim.by_probability and is_known):
+            continue
+        if record.evidence is not None and record.evidence.context_ratio is not None:
+            known.append((record.evidence.context_ratio, claim.right))
     around, right = np.array(known, float).reshape(-1, 2).T
     return fit_same_place(around, right > 0)
 
@@ -188,10 +186,11 @@ def _by_kind(rows: Sequence[Record]) -> dict[MatchKind, list[Record]]:
         members = [row for row in rows if row.cameras == cameras]
         known = [row.evidence for row in members if row.evidence is not None]
         for with_map in {e.map_agreement is not None for e in known}:
-            of = {"key_points": False, "fitted": cameras == "auto"}
-            kinds[match_kind(with_map=with_map, **of)] = members
+            kind = match_kind(key_points=False, with_map=with_map, fitted=cameras == "auto")
+            kinds[kind] = members
             if with_map:
-                kinds[match_kind(with_map=False, **of)] = _without_map(members)
+                kind = match_kind(key_points=False, with_map=False, fitted=cameras == "auto")
+                kinds[kind] = _without_map(members)
     return kinds
 
 
@@ -210,7 +209,6 @@ def _by_matcher(
 
 
 def _without_map(rows: Iterable[Record]) -> list[Record]:
-    """The records as if there were no dense map."""
     none = {"map_matchability": None, "map_agreement": None, "map_chance": None}
     return [
         replace(row, evidence=row.evidence and replace(row.evidence, **none))  # type: ignore[arg-type]

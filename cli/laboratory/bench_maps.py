@@ -84,7 +84,7 @@ def bench_maps(bench: MapBenchOptions) -> None:
             summary, table, figure = map(stage, paths)
             data = {"root": str(root), "sequences": sequences, **report_data(scores)}
             save_text(summary, json_text(data))
-            each = [score for of_method in scores.values() for score in of_method]
+            each = [score for own in scores.values() for score in own]
             write_rows(table, [finite_data(score.data) for score in each])
             save_figure(plot_pck(scores), figure)
     title = f"{len(pairs)} pairs of {root}, {sequences} of HPatches' {SEQUENCES} sequences"

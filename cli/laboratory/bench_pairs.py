@@ -62,7 +62,7 @@ class PairBenchOptions:
         f"{DEFAULT_WEIGHTS},sift",
         "Comma-separated names or paths of weights or other matchers (sift, dis); "
         f"NAME{EVERYWHERE} takes all pixels that NAME maps into image 1, whatever their "
-        "matchability; NAME:K=auto and NAME:K_scale=0.8 are given other cameras.",
+        "matchability.",
     )
     matches: tuple[str, ...] = option(
         (),
@@ -103,9 +103,8 @@ def bench_pairs(
     the distances of matches from the true epipolar lines. A pair without a pose counts as an
     infinite error.
 
-    --K and --K-scale withhold or change the K of LIST for all methods; NAME:K=auto,
-    NAME:K=auto:shared or NAME:K_scale=0.8 does so for one method. Errors always refer to the true
-    cameras. A second table has the warnings of the poses and the errors of focal lengths.
+    --K and --K-scale withhold or change the K of LIST for all methods. Errors always refer to the
+    true cameras. A second table has the warnings of the poses and the errors of focal lengths.
     """
     if options.out is None and options.resume:
         raise InputError("--resume needs the --out of the run to continue")
@@ -151,7 +150,7 @@ def run_bench(
             each = zip(methods, matchers, strict=True)
             pair = pairs.pair(k)
             add([score(all_names[k], pair, *method) for method in each])
-    scores = [row for of_pair in done for row in of_pair]
+    scores = [row for pair_rows in done for row in pair_rows]
     figures = columns(scores)
     summaries = [summarise(method, column) for method, column in figures.items()]
     if out is not None:

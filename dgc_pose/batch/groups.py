@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Sequence
 
 from dgc_pose.batch.pairs import PairRow
-from dgc_pose.estimation import RelativePose
 from dgc_pose.pose import is_hopeless, is_open
 
 Groups = dict[str, frozenset[str]]  # by image, all images of its group
@@ -25,9 +24,10 @@ def joining(rows: Sequence[PairRow]) -> list[PairRow]:
     other pairs with a pose connect. rows: of all pairs, each on its own; those that the second
     matcher matched already are among the result."""
     groups = connected(rows, (row for row in rows if row.success and not row.second))
-    apart = (row for row in rows if row.name2 not in groups[row.name1])
-    return [row for row in apart if row.second or (row.pose is not None and _may_join(row.pose))]
+    return [row for row in rows if row.name2 not in groups[row.name1] and _may_join(row)]
 
 
-def _may_join(pose: RelativePose) -> bool:
-    return is_open(pose) and not is_hopeless(pose)
+def _may_join(row: PairRow) -> bool:
+    if row.second:
+        return True
+    return row.pose is not None and is_open(row.pose) and not is_hopeless(row.pose)

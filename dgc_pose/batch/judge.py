@@ -7,7 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from dgc_pose.batch.given import HeldMatches, read_given
+from dgc_pose.batch.given import read_given
+from dgc_pose.batch.given.matches import HeldMatches
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pairs import BAD_INPUT, PairRow
 from dgc_pose.batch.run import run_batch
@@ -66,7 +67,6 @@ def judge(
 
 
 def _calibration(K: Any) -> Calibration:
-    """The calibration of the argument K of `judge`."""
     if isinstance(K, Mapping):
         return Calibration("K", by_name=K)
     if K is None or isinstance(K, str | Path):

@@ -104,8 +104,8 @@ class PlacedPair:
             front = (along[0] > 0) & (along[1] > 0)
             with np.errstate(divide="ignore", invalid="ignore"):
                 along = [np.where(front & np.isfinite(z), np.log(z), np.nan) for z in along]
-        for camera, of_image, values in zip(cameras, points, along, strict=True):
-            unique, first = np.unique(_cells(of_image, image_size(camera)), return_index=True)
+        for camera, seen, values in zip(cameras, points, along, strict=True):
+            unique, first = np.unique(_cells(seen, image_size(camera)), return_index=True)
             cells.append(unique)
             log_depths.append(values[first].astype(np.float32))
         errors = pose.rotation_error_90_deg or 0.0, pose.translation_error_90_deg or 0.0
@@ -225,8 +225,8 @@ def solutions(
     for before in (probable, with_repeats):
         after = _propagate(before, found, likely, weight)
         right = after > 0
-        of_triples = np.log(likely[np.arange(len(found)), right[found].sum(1)])
-        solved.append((after, weight[found].mean(1) @ of_triples - before[~right].sum()))
+        triple_evidence = np.log(likely[np.arange(len(found)), right[found].sum(1)])
+        solved.append((after, weight[found].mean(1) @ triple_evidence - before[~right].sum()))
     (ordinary, explained), (repeating, with_them) = solved
     return ordinary, repeating, float(with_them - explained)
 

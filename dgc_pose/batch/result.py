@@ -32,11 +32,6 @@ PAIRS = "pairs.jsonl"
 MATCHES = "matches.h5"
 SUMMARY = "summary.json"
 CAMERAS = "cameras.csv"
-_COLUMNS = (
-    *("name", "fx", "fy", "cx", "cy", "width", "height", "focal_std", "centre_std_px"),
-    *("lens_std", "aspect_std", "camera"),
-    *("model", "coefficients"),  # of the lens
-)
 MISSING = "missing"  # in place of the second matcher's fingerprint, if it is not installed
 GROUP_BYTES = 4096  # more than HDF5 needs for a pair, without its arrays
 
@@ -91,18 +86,32 @@ def write_files(out: Path, store: BatchStore, plan: Plan, summary: Mapping[str, 
 
 def write_cameras(out: Path, cameras: Mapping[str, Camera]) -> None:
     """Write `cameras.csv`, which `--K` reads: a line for each image."""
+    rows = [_camera_row(name, camera) for name, camera in cameras.items()]
     table = io.StringIO()
-    lines = csv.writer(table, lineterminator="\n")
-    lines.writerow(_COLUMNS)
-    for name, camera in cameras.items():
-        K = camera.K
-        numbers = (K[0, 0], K[1, 1], K[0, 2], K[1, 2], *(camera.size or ("", "")))
-        stds = (camera.focal_std, camera.centre_std, camera.lens_std, camera.aspect_std)
-        lens = camera.distortion
-        of_lens = ("", "") if lens is None else (lens.model, " ".join(map(repr, lens.coefficients)))
-        lines.writerow([name, *numbers, *stds, camera.identity or "", *of_lens])
+    lines = csv.DictWriter(table, rows[0] if rows else [], lineterminator="\n")
+    lines.writeheader()
+    lines.writerows(rows)
     text = table.getvalue().encode(errors="backslashreplace")  # names may not be UTF-8
     write_text(out / CAMERAS, text.decode())
+
+
+def _camera_row(name: str, camera: Camera) -> dict[str, Any]:
+    K = camera.K
+    width, height = camera.size or ("", "")
+    lens = camera.distortion
+    return {
+        "name": name,
+        "fx": K[0, 0],
+        "fy": K[1, 1],
+        "cx": K[0, 2],
+        "cy": K[1, 2],
+        "width": width,
+        "height": height,
+        **camera.deviations,
+        "camera": camera.identity or "",
+        "model": "" if lens is None else lens.model,
+        "coefficients": "" if lens is None else " ".join(map(repr, lens.coefficients)),
+    }
 
 
 def summary_of(
@@ -116,22 +125,7 @@ def summary_of(
     return {
         "images": len(plan.names),
         "bad_images": dict(sorted(bad.items())),
-        "cameras": [
-            {
-                "images": len(one.cameras),
-                "first_image": next(iter(one.cameras)),
-                "focal_px": camera.focal,
-                "focal_std": camera.focal_std,
-                "focal_source": camera.focal_source,
-                "centre_px": camera.K[:2, 2].tolist(),
-                "centre_std_px": camera.centre_std,
-                "lens_std": camera.lens_std,
-                "pairs": one.pairs,
-                "why": one.why,
-            }
-            for one in cameras
-            for camera in [*one.cameras.values()][:1]
-        ],
+        "cameras": [_camera_facts(pooled) for pooled in cameras],
         "pairs": len(plan.pairs),
         "poses": sum(by_status[status] for status, facts in STATUSES.items() if facts.has_t),
         "bad_pairs": by_status[BAD_INPUT],
@@ -139,6 +133,20 @@ def summary_of(
         "rejected": _rejected_between_groups(rows),
         "judged_together": sum(row.folder_probability is not None for row in rows),
         "by_status": dict(sorted(by_status.items())),
+    }
+
+
+def _camera_facts(pooled: PooledCamera) -> dict[str, Any]:
+    first, camera = next(iter(pooled.cameras.items()))
+    return {
+        "images": len(pooled.cameras),
+        "first_image": first,
+        "focal_px": camera.focal,
+        "focal_source": camera.focal_source,
+        "centre_px": camera.K[:2, 2].tolist(),
+        **camera.deviations,
+        "pairs": pooled.pairs,
+        "why": pooled.why,
     }
 
 

@@ -235,8 +235,8 @@ def _mirrored(rows: Sequence[PairRow]) -> set[str]:
     side = dict.fromkeys(signs, 1)
     while side:
         agreement = {
-            name: side[name] * sum(sign * side[other] for other, sign in of_name)
-            for name, of_name in signs.items()
+            name: side[name] * sum(sign * side[other] for other, sign in linked)
+            for name, linked in signs.items()
         }
         worst = min(agreement, key=lambda name: agreement[name])
         if agreement[worst] >= 0:
@@ -333,7 +333,6 @@ def _store_each(
 def _ordered(
     plan: Plan, indices: Sequence[int], options: BatchOptions
 ) -> list[tuple[int, tuple[str, str]]]:
-    """Pairs by index and names, in working order."""
     chosen = np.array(indices, dtype=np.int64)
     sizes = [camera.size for camera in plan.cameras.values() if camera.size is not None]
     largest = max((3 * width * height for width, height in sizes), default=1)

@@ -13,7 +13,7 @@ from typing import Literal, cast
 
 import numpy as np
 
-from dgc_pose.batch.given import GivenMatches
+from dgc_pose.batch.given.matches import GivenMatches
 from dgc_pose.cameras.by_image import Calibration, times
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.formats.colmap import read_database
@@ -167,20 +167,20 @@ def survey(
             headers[name] = header
     _require_one_size(source, calibration, headers)
     for name, header in headers.items():
-        of_image = calibration
+        own = calibration
         listed = source.cameras.get(name)
         try:
             if listed is not None and calibration.lacks(source.root, name):
                 where = "the list" if listed.size is None else "the database"
-                of_image = Calibration(where, {name: listed})
+                own = Calibration(where, {name: listed})
             elif calibration.is_empty:
-                of_image = Calibration(auto="files")
-            camera = of_image.camera(source.root, name, header)
+                own = Calibration(auto="files")
+            camera = own.camera(source.root, name, header)
         except InputError as error:
             failures.append(error)
             bad[name] = str(error)
         else:
-            stated = of_image.stated(source.root, name)
+            stated = own.stated(source.root, name)
             known = source.given is None or source.given.has_size(name, stated)
             cameras[name] = replace(camera, size=header.size if known else None)
     if failures and not cameras:

@@ -81,8 +81,8 @@ class Plan:
 def plan_data(plan: Plan) -> dict[str, Any]:
     """A plan as values of JSON."""
     cameras, pooled = (
-        {name: camera_data(camera) for name, camera in (of or {}).items()}
-        for of in (plan.cameras, plan.pooled)
+        {name: camera_data(camera) for name, camera in (known or {}).items()}
+        for known in (plan.cameras, plan.pooled)
     )
     return {
         "version": _VERSION,
@@ -212,10 +212,10 @@ class BatchStore:
         for pair in pairs:
             row = pair.row
             pose = pair.row.pose
-            of_pose = {} if pose is None else {"inliers": pose.inliers}
+            pose_arrays = {} if pose is None else {"inliers": pose.inliers}
             if pose is not None and pose.camera_covariance is not None:
-                of_pose["camera_covariance"] = pose.camera_covariance
-            values = row.index, row.to_json(), _packed(of_pose), _packed(_arrays(pair))
+                pose_arrays["camera_covariance"] = pose.camera_covariance
+            values = row.index, row.to_json(), _packed(pose_arrays), _packed(_arrays(pair))
             self._database.execute(_ADD[table], values)
 
     def rewrite(self, rows: Collection[PairRow]) -> None:
@@ -272,7 +272,7 @@ class BatchStore:
             )
             text, *packed = found.fetchone()
             row = parse_row(text, index, self._where(index))
-            of_pose, arrays = (unpacked(data, self._where(index)) for data in packed)
+            pose_arrays, arrays = (unpacked(data, self._where(index)) for data in packed)
             error_px, key_points, map_error_px, around = arrays["facts"].tolist()
             points1, points2, confidence = (arrays[name] for name in _FIELDS)
             matches = Matches(points1, points2, confidence, error_px, bool(key_points))
@@ -283,8 +283,8 @@ class BatchStore:
                 points1, points2, confidence = (arrays[f"map_{name}"] for name in _FIELDS)
                 sample = Matches(points1, points2, confidence, map_error_px)
             if row.pose is not None:
-                inliers = of_pose["inliers"]
-                covariance = of_pose.get("camera_covariance")
+                inliers = pose_arrays["inliers"]
+                covariance = pose_arrays.get("camera_covariance")
                 pose = replace(row.pose, inliers=inliers, camera_covariance=covariance)
                 row = replace(row, pose=pose)
             return MatchedPair(row, matches, sample)

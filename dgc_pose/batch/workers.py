@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 import cv2
 import numpy as np
 
-from dgc_pose.batch.given import GivenMatches
+from dgc_pose.batch.given.matches import GivenMatches
 from dgc_pose.batch.pairs import BAD_INPUT, FAILED, MatchedPair, PairRow, row_of
 from dgc_pose.batch.store import BatchStore
 from dgc_pose.cameras.camera import Camera

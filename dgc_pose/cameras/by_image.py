@@ -81,14 +81,16 @@ class Calibration:
             return fitted_camera(camera, self.details, image, label, shown)
         if self.auto is not None:
             return auto_camera(image, self.auto)
-        *_, last = ("", *self.parts)
+        missing = f"{self.where} has no camera for {name}"
+        if not self.parts:
+            raise InputError(missing)
+        *_, last = self.parts
         names = shortened(", ".join(self.parts))
-        other = f": choose one of {names}, as in {self.where}:{last}" if last else ""
-        raise InputError(f"{self.where} has no camera for {name}{other}")
+        raise InputError(f"{missing}: choose one of {names}, as in {self.where}:{last}")
 
     def stated(self, root: Path, name: str, part: str | None = None) -> Camera | None:
         """The camera of an image exactly as the text or file states it, or None."""
-        return self.named(root, name) or self._of_part(root / name, part) or self.common
+        return self.named(root, name) or self._by_part(root / name, part) or self.common
 
     @property
     def is_empty(self) -> bool:
@@ -122,11 +124,12 @@ class Calibration:
         """(folders, name) of each name in `by_name`, by its file name."""
         names = defaultdict[str, list[tuple[tuple[str, ...], str]]](list)
         for name in self.by_name:
-            *folders, file = ["", *(p for p in PurePath(os.path.normpath(name)).parts if p != "..")]
-            names[file].append((tuple(folders[1:]), name))
+            parts = [part for part in PurePath(os.path.normpath(name)).parts if part != ".."]
+            file = parts[-1] if parts else ""
+            names[file].append((tuple(parts[:-1]), name))
         return names
 
-    def _of_part(self, path: Path, part: str | None) -> Camera | None:
+    def _by_part(self, path: Path, part: str | None) -> Camera | None:
         """The camera of `part`, of a folder of `path`, or of a two-camera rig by its order."""
         if part is not None and part in self.parts:
             return self.parts[part]
@@ -160,18 +163,21 @@ def fitted_camera(
     """
     is_turned = orientation_of(camera, image, details.size) != 1
     size = size_in_file(image) if is_turned else image.size
-    if (of_K := details.size) is None:
+    if details.size is None:
         camera = checked_camera(camera, size, name, shown)
     else:
-        if camera.size not in (None, of_K):
+        width, height = details.size
+        if camera.size not in (None, details.size):
             stated = f"{name} states {times(camera.size)}, and"
-            raise InputError(stated, ArgumentName("K_size"), times(of_K))
-        if abs(of_K[0] * size[1] / (of_K[1] * size[0]) - 1) > _MAX_ASPECT_DIFFERENCE:
+            raise InputError(stated, ArgumentName("K_size"), times(details.size))
+        if abs(width * size[1] / (height * size[0]) - 1) > _MAX_ASPECT_DIFFERENCE:
             raise InputError(
-                f"{name} is for {times(of_K)} pixels, and the image of {times(size)} has "
+                f"{name} is for {times(details.size)} pixels, and the image of {times(size)} has "
                 "another aspect ratio: K cannot be scaled"
             )
-        camera = replace(checked_camera(camera, of_K, name), size=of_K).resized(size)
+        checked = checked_camera(camera, details.size, name)
+        camera = replace(checked, size=details.size).resized(size)
+
     camera = upright_camera(camera, image)
     return replace(
         camera,
@@ -246,19 +252,21 @@ def checked_camera(camera: Camera, size: Size, name: str, image: str = "the imag
         )
     centre = camera.K[:2, 2]
     place = f"{name} has its principal point at ({centre[0]:g}, {centre[1]:g})"
-    of_K = 2 * centre + 1  # the image size with the principal point in the middle
-    if camera.size is None and (of_K > 1).all():
-        about = times(np.rint(of_K).astype(int))
+    centred = 2 * centre + 1  # the image size with the principal point in the middle
+
+    if camera.size is None and (centred > 1).all():
+        about = times(np.rint(centred).astype(int))
         middle = f"{place}, the middle of about {about} pixels; {image} has {times(size)}"
         if _may_be_of(camera, size[::-1]) and _offset(camera, size) > _TURNED_OFFSET:
             raise InputError(f"{middle}: K is of the image rotated by 90 degrees")
-        x, y = np.log(of_K / size)
-        scale = abs(np.log(of_K.max() / max(size)))
+        x, y = np.log(centred / size)
+        scale = abs(np.log(centred.max() / max(size)))
         if abs(x - y) <= _SAME_ASPECT and scale > _MAX_SAME_SCALE:
             if scale > _MAX_POSSIBLE_SCALE:
                 raise InputError(f"{middle}: state the size of K")
             return replace(camera, warnings=(*camera.warnings, middle))
-    if not ((of_K > 0) & (of_K < 2 * np.array(size))).all():
+
+    if not ((centred > 0) & (centred < 2 * np.array(size))).all():
         raise InputError(f"{place}, outside {image} of {times(size)}")
     if camera.distortion is None and camera.K[0, 0] < _LEAST_FOCAL * size[0]:
         problem = f"{name} has a focal length of {camera.K[0, 0]:g} pixels"

@@ -89,6 +89,14 @@ def image_camera(
     return calibration.camera(Path(), image.name, image, part)
 
 
+def single_camera(
+    value: Any, image: Image, name: str = "K", details: KDetails = NO_DETAILS
+) -> Camera:
+    """The camera of an image that is no part of a pair: as in `pair_cameras`, with its lines."""
+    (camera,) = with_lines([image_camera(value, image, name, details)], [image])
+    return camera
+
+
 def parse_camera(text: str, name: str = "K", *, files: bool = True) -> Camera:
     """Parse a camera, in any of this module's forms of a single camera.
 
@@ -168,10 +176,7 @@ def camera_data(camera: Camera) -> dict[str, Any]:
         "model": None if lens is None else lens.model,
         "coefficients": None if lens is None else lens.coefficients,
         "warnings": camera.warnings,
-        "focal_std": camera.focal_std,
-        "centre_std_px": camera.centre_std,
-        "lens_std": camera.lens_std,
-        "aspect_std": camera.aspect_std,
+        **camera.deviations,
         "focal_source": camera.focal_source,
         "identity": camera.identity,
         "projection": camera.projection,

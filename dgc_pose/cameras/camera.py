@@ -65,9 +65,9 @@ class FocalPrior:
     def parts(self, lines: Sequence[np.ndarray]) -> tuple[Part, Part]:
         """Both parts, the likelier first, given the lines (G,) of all images of the camera. Images
         of one place have correlated errors, so the evidence grows with the root of their number."""
-        of_all = np.sum(lines, axis=0) / math.sqrt(max(1.0, len(lines) / 2))
+        together = np.sum(lines, axis=0) / math.sqrt(max(1.0, len(lines) / 2))
         first, second = sorted(
-            (part.given(of_all) for part in (self.usual, self.tail)),
+            (part.given(together) for part in (self.usual, self.tail)),
             key=lambda part: -part.log_weight,
         )
         return first, second
@@ -166,6 +166,16 @@ class Camera:
         )
 
     @property
+    def deviations(self) -> dict[str, float]:
+        """The standard deviations by their names in files."""
+        return {
+            "focal_std": self.focal_std,
+            "centre_std_px": self.centre_std,
+            "lens_std": self.lens_std,
+            "aspect_std": self.aspect_std,
+        }
+
+    @property
     def focal(self) -> float:
         """Mean of the focal lengths along x and y, pixels."""
         return float(self.K[0, 0] + self.K[1, 1]) / 2
@@ -215,8 +225,8 @@ class Camera:
         K has a skew, or if the lens model has a prism or is a cylinder.
         """
         lens = self.distortion
-        of_axis = lens is not None and ("PRISM" in lens.model or lens.projection == "cylinder")
-        if (self.K[0, 1] or of_axis) and not np.array_equal(turn, np.eye(2)):
+        has_axis = lens is not None and ("PRISM" in lens.model or lens.projection == "cylinder")
+        if (self.K[0, 1] or has_axis) and not np.array_equal(turn, np.eye(2)):
             raise InputError(
                 "a K with a skew, a prism or a cylinder cannot be rotated: give the rotated "
                 "photographs their own upright K"

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -31,13 +31,6 @@ _PINHOLES = {"SIMPLE_PINHOLE": ["f", "cx", "cy"], "PINHOLE": ["fx", "fy", "cx", 
 RADIAL = "RADIAL"
 FISHEYE = "OPENCV_FISHEYE"
 CYLINDER = "CYLINDER"
-# Models computed without pycolmap if all coefficients after the second are zero, with their number
-# of coefficients. COLMAP has no CYLINDER.
-_OWN: Mapping[str, tuple[Projection, int]] = {
-    RADIAL: ("plane", 2),
-    FISHEYE: ("angles", 4),
-    CYLINDER: ("cylinder", 0),
-}
 # For a model with one focal length: the same with two, and its number of coefficients.
 _TWO_FOCALS = {
     "SIMPLE_RADIAL": ("OPENCV", 4),
@@ -46,6 +39,41 @@ _TWO_FOCALS = {
     "RADIAL_FISHEYE": ("OPENCV_FISHEYE", 4),
     "SIMPLE_DIVISION": ("DIVISION", 1),
     "SIMPLE_FISHEYE": ("FISHEYE", 0),
+}
+
+
+class OwnLens(NamedTuple):
+    """A lens that is computed without pycolmap."""
+
+    coefficients: int  # their number
+    # The functions of `Distortion`, of points (N, 2) float64 and the coefficients.
+    undo: Callable[[np.ndarray, Sequence[float]], np.ndarray]
+    apply: Callable[[np.ndarray, Sequence[float]], np.ndarray]
+    # In `geometry.radial`, which also has the derivatives. Coefficients after the second must be
+    # zero: pycolmap computes the lens otherwise.
+    projection: Projection | None = None
+
+
+def _radial_lens(projection: Projection, coefficients: int) -> OwnLens:
+    def undo(points: np.ndarray, coefficients: Sequence[float]) -> np.ndarray:
+        return unprojected(undistorted(points, _first_two(coefficients)), projection)
+
+    def apply(points: np.ndarray, coefficients: Sequence[float]) -> np.ndarray:
+        return distorted(projected(points, projection), _first_two(coefficients))
+
+    return OwnLens(coefficients, undo, apply, projection)
+
+
+def _first_two(coefficients: Sequence[float]) -> tuple[float, float]:
+    first, second = (*coefficients, 0.0, 0.0)[:2]
+    return first, second
+
+
+# COLMAP has no CYLINDER: a camera with a lens that COLMAP lacks cannot be exported.
+_OWN: Mapping[str, OwnLens] = {
+    RADIAL: _radial_lens("plane", 2),
+    FISHEYE: _radial_lens("angles", 4),
+    CYLINDER: _radial_lens("cylinder", 0),
 }
 
 
@@ -65,7 +93,8 @@ class Distortion:
 
     def __post_init__(self) -> None:
         names = ""
-        expected = _OWN.get(self.model, ("", -1))[1]
+        own = _OWN.get(self.model)
+        expected = -1 if own is None else own.coefficients
         if len(self.coefficients) != expected:
             camera = _model(self.model)
             names = camera.params_info
@@ -80,15 +109,21 @@ class Distortion:
 
     @property
     def projection(self) -> Projection | None:
-        """The projection in `geometry.radial`; None if pycolmap computes this lens."""
-        known = not any(self.coefficients[2:])
-        return _OWN[self.model][0] if self.model in _OWN and known else None
+        """The projection in `geometry.radial`; None for a lens of another kind."""
+        return None if self._own is None else self._own.projection
+
+    @property
+    def _own(self) -> OwnLens | None:
+        """How the lens is computed here; None if pycolmap computes it."""
+        own = _OWN.get(self.model)
+        if own is None or (own.projection is not None and any(self.coefficients[2:])):
+            return None
+        return own
 
     @property
     def radial(self) -> tuple[float, float]:
         """The coefficients for `geometry.radial`."""
-        first, second = (*self.coefficients, 0.0, 0.0)[:2]
-        return first, second
+        return _first_two(self.coefficients)
 
     def undo(self, points: np.ndarray) -> np.ndarray:
         """Undistort normalised points (N, 2), to x / z and y / z float64.
@@ -96,18 +131,16 @@ class Distortion:
         NaN where the model has no inverse: for rays at 90 degrees or more from the axis, and beyond
         the radius at which the distorted radius stops growing.
         """
-        if self.projection is not None:
-            points = undistorted(np.asarray(points, np.float64), self.radial)
-            return unprojected(points, self.projection)
+        if self._own is not None:
+            return self._own.undo(np.asarray(points, np.float64), self.coefficients)
         ideal = np.asarray(self._camera().cam_from_img(np.ascontiguousarray(points)))
         undone = np.abs(self.apply(ideal) - points).max(axis=1, initial=0) <= _MAX_ROUND_TRIP_ERROR
         return np.where(undone[:, None], ideal, np.nan)
 
     def apply(self, points: np.ndarray) -> np.ndarray:
         """Distort normalised points (N, 2), x / z and y / z, to float64."""
-        if self.projection is not None:
-            points = projected(np.asarray(points, np.float64), self.projection)
-            return distorted(points, self.radial)
+        if self._own is not None:
+            return self._own.apply(np.asarray(points, np.float64), self.coefficients)
         return np.asarray(
             self._camera().img_from_cam(np.column_stack([points, np.ones(len(points))]))
         )

@@ -65,7 +65,8 @@ def focal_scores(image: Image) -> tuple[np.ndarray, int]:
     points = _meeting_points(normals, lines, share)
     if not len(points):
         return scores, 0
-    of_first = _agreement(points, *lines)
+
+    on_first = _agreement(points, *lines)
     side = min(max(image.size), _SIDE)
     cos = np.cos(_ANGLES)[:, None]
     sin = np.sin(_ANGLES)[:, None]
@@ -75,8 +76,8 @@ def focal_scores(image: Image) -> tuple[np.ndarray, int]:
         second = cos * across[:, 0] + sin * across[:, 1]
         third = cos * across[:, 1] - sin * across[:, 0]
         others = np.stack([second, third]).reshape(-1, 3) * (focal, focal, 1.0)
-        of_others = _agreement(others, *lines).reshape(2, len(points), len(_ANGLES), -1).max(0)
-        scores[k] = float((np.maximum(of_others, of_first[:, None]) @ share).max())
+        on_others = _agreement(others, *lines).reshape(2, len(points), len(_ANGLES), -1).max(0)
+        scores[k] = float((np.maximum(on_others, on_first[:, None]) @ share).max())
     return scores, len(ends)
 
 

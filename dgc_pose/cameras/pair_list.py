@@ -104,6 +104,7 @@ def read_pair_list(path: Path) -> PairList:
                     "expected two names, or SuperGlue's 4, 22 or 38 fields, not "
                     f"{shortened(line.strip())!r} (names with blanks need a .csv)"
                 )
+
             name1, name2 = words[:2]
             if not pairs and is_table and _is_heading(name1.lower(), name2.lower()):
                 continue
@@ -113,6 +114,7 @@ def read_pair_list(path: Path) -> PairList:
                 if not np.array_equal(cameras.setdefault(name, camera).K, camera.K):
                     raise InputError(f"K of {name} differs from an earlier line")
         pairs.setdefault(frozenset((name1, name2)), (name1, name2))
+
     if not pairs:
         raise InputError(f"{path}: no pairs in this list")
     listed = tuple(pairs.values())

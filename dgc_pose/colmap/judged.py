@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.batch.given import DatabaseMatches, GivenMatches, IndexedMatches, guessed_size
+from dgc_pose.batch.given.database import DatabaseMatches
+from dgc_pose.batch.given.matches import GivenMatches, IndexedMatches, guessed_size
 from dgc_pose.batch.pairs import PairRow
 from dgc_pose.batch.result import Batch
 from dgc_pose.cameras.formats.colmap import open_database

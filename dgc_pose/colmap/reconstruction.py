@@ -97,11 +97,11 @@ def mapped(
     write_shared(batch, shared, out / DATABASE)
     mapping = replace(options, refine_intrinsics=refines(batch, options))
     found = map_database(out / DATABASE, batch.plan.root, mapping)
-    uncertain = [
-        name
-        for name, camera in batch.plan.final_cameras.items()
-        if may_be_crop(camera) or (options.refine_centres and not camera.exact)
-    ]
+    uncertain = []
+    for name, camera in batch.plan.final_cameras.items():
+        is_refined = options.refine_centres and not camera.exact
+        if is_refined or may_be_crop(camera):
+            uncertain.append(name)
     for model in found if uncertain else ():
         adjust(model, uncertain, centres=True)
     return found, shared

@@ -21,8 +21,8 @@ from dgc_pose.cameras.prior import (
     USUAL_K,
     has_picture,
     improbability,
-    of_part,
     picture_camera,
+    with_part,
 )
 from dgc_pose.estimation.intrinsics_prior import may_be_crop
 
@@ -170,7 +170,7 @@ def has_sensor_shape(camera: Camera) -> bool:
 # Models without a K
 
 
-def _picture_variants(
+def without_K(
     change: Callable[[Camera], Camera], usual_log_odds: float
 ) -> Callable[[Cameras], Iterator[Variant]]:
     """The variants of a model that changes each camera without a K in the same way."""
@@ -223,13 +223,13 @@ def tail(stated: Cameras) -> Iterator[Variant]:
         priors = [camera.focal_prior for camera in stated if camera.focal_prior is not None]
         if len(priors) == 2:
             usual, tail = _parts(stated[0], [prior.lines for prior in priors])
-            first, second = (of_part(camera, tail) for camera in stated)
+            first, second = (with_part(camera, tail) for camera in stated)
             yield Variant((first, second), tail.log_weight - usual.log_weight)
         return
     for number, camera in enumerate(stated):
         if camera.focal_prior is not None:
             usual, tail = _parts(camera, [camera.focal_prior.lines])
-            other = of_part(camera, tail)
+            other = with_part(camera, tail)
             cameras = (stated[0], other) if number else (other, stated[1])
             yield Variant(cameras, tail.log_weight - usual.log_weight)
 
@@ -257,7 +257,7 @@ def two(stated: Cameras) -> Iterator[Variant]:
 
 def _zoomed(camera: Camera, part: Part) -> Camera:
     lens_std = min(camera.lens_std, _TWO_LENS_STD)
-    return replace(of_part(camera, part), identity=None, lens_std=lens_std)
+    return replace(with_part(camera, part), identity=None, lens_std=lens_std)
 
 
 def _is_one(stated: Cameras) -> bool:
@@ -270,13 +270,13 @@ def _parts(camera: Camera, lines: Sequence[np.ndarray]) -> tuple[Part, Part]:
     assert camera.focal_prior is not None
 
     def distance(part: Part) -> float:
-        return abs(math.log(of_part(camera, part).focal / camera.focal))
+        return abs(math.log(with_part(camera, part).focal / camera.focal))
 
     one, other = sorted(camera.focal_prior.parts(lines), key=distance)
     return one, other
 
 
-squeezed = _picture_variants(_squeezed, _LOG_ODDS_OF_EDITED)
-off_centre = _picture_variants(_off_centre, _LOG_ODDS_OF_EDITED)
-fisheye = _picture_variants(_wide(Distortion(FISHEYE, (0.0,) * 4), 0.55, 0.35), _LOG_ODDS_OF_WIDE)
-cylinder = _picture_variants(_wide(Distortion(CYLINDER), 0.6, 0.4), _LOG_ODDS_OF_WIDE)
+squeezed = without_K(_squeezed, _LOG_ODDS_OF_EDITED)
+off_centre = without_K(_off_centre, _LOG_ODDS_OF_EDITED)
+fisheye = without_K(_wide(Distortion(FISHEYE, (0.0,) * 4), 0.55, 0.35), _LOG_ODDS_OF_WIDE)
+cylinder = without_K(_wide(Distortion(CYLINDER), 0.6, 0.4), _LOG_ODDS_OF_WIDE)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Literal
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import camera_changes as changes
@@ -17,23 +16,7 @@ from dgc_pose.estimation import camera_texts as texts
 from dgc_pose.estimation import stated_changes
 from dgc_pose.estimation.camera_changes import Cameras, Variant
 
-ModelName = Literal[
-    "assumed",
-    "tail",
-    "two",
-    "squeezed",
-    "off_centre",
-    "fisheye",
-    "cylinder",
-    "focal",
-    "focals",
-    "lens",
-    "centre",
-    "unlensed",
-    "middle",
-    "swapped",
-    "picture",
-]
+ModelName = str  # of a row of `MODELS`
 # Shares of the matches that the assumed cameras explain, above which no distant cameras are
 # searched: without a K; with a K, and for models that are less likely than the third, in log-odds.
 EXPLAINED = 0.8
@@ -44,13 +27,16 @@ _UNCERTAIN_STD = 0.1  # deviation of ln f beyond which there is a warning
 
 @dataclass(frozen=True)
 class CameraModel:
-    """A row of the table."""
+    """A row of the table, all that is to be stated of a model."""
 
     name: ModelName
     # The variants for stated or assumed cameras; none that leaves them as they are.
     variants: Callable[[Cameras], Iterator[Variant]]
     # What the matches agree with: of a camera before and after the fit; "" for nothing unusual.
     says: Callable[[Camera, Camera], str]
+    # In docs/method.md: what the model opens or changes, and its prior odds.
+    opens: str = ""
+    odds: str = ""
     contradicts_K: bool = False
     # Changes of ln f at which RANSAC runs, for a model that the pose of the assumed cameras does
     # not lead to; and whether it may be far from unusual cameras that explain the matches.
@@ -74,12 +60,12 @@ class CameraModel:
 
 def model_named(name: str) -> CameraModel:
     """The model of this name."""
-    return _MODELS[name]
+    return MODELS[name]
 
 
 def other_models(stated: Cameras) -> Iterator[tuple[CameraModel, Variant]]:
     """The models other than the cameras as stated or assumed."""
-    for model in _MODELS.values():
+    for model in MODELS.values():
         for variant in model.variants(stated):
             yield model, variant
 
@@ -125,30 +111,133 @@ def _nothing(before: Camera, camera: Camera) -> str:
 
 
 _WIDE_FOCALS = (-0.42, -0.14, 0.14, 0.42)
-_MODELS: Mapping[str, CameraModel] = {
+_OTHER_ODDS = "with EXIF data e^-12; e^-3 if the picture has no sensor's shape"
+_ODDS_OF_EDITED = f"e^-7; {_OTHER_ODDS}"
+_ODDS_OF_WIDE = f"e^-6; {_OTHER_ODDS}"
+MODELS: Mapping[str, CameraModel] = {
     model.name: model
     for model in (
         CameraModel("assumed", changes.nothing, texts.focal_of_prior),
         # Without a K.
-        CameraModel("tail", changes.tail, texts.focal_of_prior, focals=(-0.6, 0.0, 0.6)),
-        CameraModel("two", changes.two, _if_open(texts.two), is_far=True),
-        CameraModel("squeezed", changes.squeezed, _if_open(texts.squeezed)),
-        CameraModel("off_centre", changes.off_centre, _if_open(texts.off_centre)),
-        CameraModel("fisheye", changes.fisheye, _if_open(texts.fisheye), focals=_WIDE_FOCALS),
-        CameraModel("cylinder", changes.cylinder, _nothing, focals=_WIDE_FOCALS),
+        CameraModel(
+            "tail",
+            changes.tail,
+            texts.focal_of_prior,
+            "f, in the less likely part of the prior",
+            "from the prior and the lines",
+            focals=(-0.6, 0.0, 0.6),
+        ),
+        CameraModel(
+            "two",
+            changes.two,
+            _if_open(texts.two),
+            "f of each image; with the same EXIF data, f of one image, in the less likely part of "
+            "its prior",
+            "e^-2.2, with EXIF data e^-20; and from the priors",
+            is_far=True,
+        ),
+        CameraModel(
+            "squeezed",
+            changes.squeezed,
+            _if_open(texts.squeezed),
+            "fy / fx, within 30 %; not where EXIF data are whole",
+            _ODDS_OF_EDITED,
+        ),
+        CameraModel(
+            "off_centre",
+            changes.off_centre,
+            _if_open(texts.off_centre),
+            "the principal point of each image, within 2 % of the longer side; not where EXIF "
+            "data are whole",
+            _ODDS_OF_EDITED,
+        ),
+        CameraModel(
+            "fisheye",
+            changes.fisheye,
+            _if_open(texts.fisheye),
+            "an equidistant projection, f = 0.55 of the longer side within 35 % (or EXIF), two "
+            "coefficients",
+            _ODDS_OF_WIDE,
+            focals=_WIDE_FOCALS,
+        ),
+        CameraModel(
+            "cylinder",
+            changes.cylinder,
+            _nothing,
+            "a cylinder about y, f = 0.6 of the longer side within 40 % (or EXIF)",
+            _ODDS_OF_WIDE,
+            focals=_WIDE_FOCALS,
+        ),
         # In place of a K.
-        CameraModel("focal", stated_changes.focal, texts.focal, True),
-        CameraModel("focals", stated_changes.focals, texts.focal, True),
-        CameraModel("lens", stated_changes.lens, texts.lens, True),
-        CameraModel("centre", stated_changes.centre, texts.centre, True),
-        CameraModel("unlensed", stated_changes.unlensed, texts.unlensed, True, focals=(0.0,)),
-        CameraModel("middle", stated_changes.middle, texts.centre, True, focals=(0.0,)),
-        CameraModel("swapped", stated_changes.swapped, texts.swapped, True, focals=(0.0,)),
+        CameraModel(
+            "focal",
+            stated_changes.focal,
+            texts.focal,
+            "in place of a K: one factor of both focal lengths, within 50 %",
+            "e^-5.5",
+            contradicts_K=True,
+        ),
+        CameraModel(
+            "focals",
+            stated_changes.focals,
+            texts.focal,
+            "the same, a factor of each",
+            "e^-8",
+            contradicts_K=True,
+        ),
+        CameraModel(
+            "lens",
+            stated_changes.lens,
+            texts.lens,
+            "in place of a K: the first coefficient of the lens, within 0.15",
+            "e^-5.5",
+            contradicts_K=True,
+        ),
+        CameraModel(
+            "centre",
+            stated_changes.centre,
+            texts.centre,
+            "in place of a K: the principal point, within 5 % of the longer side; or of one image "
+            "or both within 10 %, with f within 20 % (corrected verticals, a shift lens); or "
+            "within 20 % of the middle, if K is over 4 % off the middle, in the middle half of "
+            "the image",
+            "e^-11; the last e^-0.5",
+            contradicts_K=True,
+        ),
+        CameraModel(
+            "unlensed",
+            stated_changes.unlensed,
+            texts.unlensed,
+            "in place of a K: no lens",
+            "e^-9",
+            contradicts_K=True,
+            focals=(0.0,),
+        ),
+        CameraModel(
+            "middle",
+            stated_changes.middle,
+            texts.centre,
+            "in place of a K: the principal point in the middle, with f within 20 %",
+            "e^-10; e^-0.5 where `centre` has it",
+            contradicts_K=True,
+            focals=(0.0,),
+        ),
+        CameraModel(
+            "swapped",
+            stated_changes.swapped,
+            texts.swapped,
+            "in place of two K: each image has the other's K",
+            "e^-12",
+            contradicts_K=True,
+            focals=(0.0,),
+        ),
         CameraModel(
             "picture",
             stated_changes.picture,
             texts.picture,
-            True,
+            "in place of a K: the camera as without K",
+            "e^-9 times the improbability of K",
+            contradicts_K=True,
             focals=(-0.7, -0.35, 0.0, 0.35, 0.7),
             is_far=True,
         ),

@@ -1,5 +1,4 @@
-"""The length of t, from depth maps, markers, the distance of the cameras or a distance in the
-scene."""
+"""The length of t, from depth maps, markers or the distance of the cameras."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -16,17 +15,14 @@ from dgc_pose.cameras.formats.keyed import numbers
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation.depth_length import (
     Rays,
-    inverse_depths,
     length_by_depths,
     ray_probability,
     secants,
 )
-from dgc_pose.estimation.least_squares import DEVIATION
 from dgc_pose.estimation.marker_side import marker_side
-from dgc_pose.estimation.problem import cell_side
 from dgc_pose.estimation.result import RelativePose
 from dgc_pose.estimation.status import percent_text
-from dgc_pose.geometry.epipolar import depths, homogeneous
+from dgc_pose.geometry.epipolar import depths
 from dgc_pose.geometry.sampling import bilinear_at
 from dgc_pose.images.depth import read_depth
 from dgc_pose.images.image import Image
@@ -34,11 +30,9 @@ from dgc_pose.images.markers import MAX_SIDE, shared_markers
 from dgc_pose.matches import Matches
 from dgc_pose.system.options import check_options, option
 
-_FORMS = {"baseline": "METRES[,STD]", "distance": "X1,Y1,X2,Y2,METRES"}
+_BASELINE = "METRES[,STD]"
 _CONTRADICTS = 3.0  # scatter of single lengths, in deviations, above which the depth is doubted
 _SURE = 0.8  # probability of distances along the rays, above which depths are converted to z
-_MIN_NEAR = 3  # least number of inliers for the depth at a point
-_NEAREST = 9  # largest number
 _source = partial(option, None, type=str, section="scale")
 _Depth = str | Path | np.ndarray | None
 _Numbers = str | tuple[float, ...] | None
@@ -46,7 +40,7 @@ _Numbers = str | tuple[float, ...] | None
 
 @dataclass(frozen=True, eq=False)
 class ScaleSource:
-    """The source of the length of t: depth maps, or one of `baseline`, `distance`, `marker`.
+    """The source of the length of t: depth maps, `baseline` or `marker`.
 
     Raises InputError, naming the field, for a value out of range, and for two sources.
 
@@ -55,8 +49,6 @@ class ScaleSource:
         depth2: Depth map of image 2 or its file, with or without `depth1`.
         depth_std: Relative standard deviation of depths: of each, and of their common scale.
         baseline: The length, metres, and optionally its standard deviation; or both as a text.
-        distance: x1, y1, x2, y2, pixels of two points of the upright image 1, and the metres
-            between them; or all as a text.
         marker: Side, metres, of the ArUco or AprilTag markers that both images show.
     """
 
@@ -65,8 +57,7 @@ class ScaleSource:
     depth_std: float = option(
         0.02, "Relative deviation of depths.", metavar="STD", above=0, max=1, section="scale"
     )
-    baseline: _Numbers = _source("Distance between the cameras.", metavar=_FORMS["baseline"])
-    distance: _Numbers = _source("Distance of two points of image 1.", metavar=_FORMS["distance"])
+    baseline: _Numbers = _source("Distance between the cameras.", metavar=_BASELINE)
     marker: float | None = _source(
         "Side of ArUco or AprilTag markers.",
         metavar="METRES",
@@ -78,19 +69,17 @@ class ScaleSource:
 
     def __post_init__(self) -> None:
         check_options(self)
-        names = [n for n in ("depth1", "depth2", *_FORMS, "marker") if getattr(self, n) is not None]
+        sources = ("depth1", "depth2", "baseline", "marker")
+        names = [name for name in sources if getattr(self, name) is not None]
         if len(names) > 1 and names != ["depth1", "depth2"]:
             first, *_, last = map(ArgumentName, names)
             raise InputError(first, "and", last, "both determine the length of t: give only one")
-        for name, counts, n in ("baseline", (1, 2), 0), ("distance", (5,), 4):
-            value = getattr(self, name)
-            values = numbers(getattr(self, name)) or [0.0]
-            is_length = len(values) in counts and min(values[n:]) > 0 and np.isfinite(values).all()
-            if value is not None and not is_length:
-                form = f"must be {_FORMS[name]}, lengths above 0"
-                raise InputError(ArgumentName(name), f"{form}, not {value!r}")
-            if name == "distance" and value is not None and values[:2] == values[2:4]:
-                raise InputError(ArgumentName(name), "has the same point twice")
+        if self.baseline is None:
+            return
+        lengths = numbers(self.baseline) or [0.0]
+        if len(lengths) > 2 or min(lengths) <= 0 or not np.isfinite(lengths).all():
+            form = f"must be {_BASELINE}, lengths above 0"
+            raise InputError(ArgumentName("baseline"), f"{form}, not {self.baseline!r}")
 
     def maps(self, images: Sequence[Image]) -> list[np.ndarray | None]:
         """The depth maps of two images, by `read_depth`; None without a source."""
@@ -118,37 +107,34 @@ def with_length(
     """The pose with the length of its t; unchanged without a pose or a source.
 
     The length is the median, over the inliers, of the known depth divided by the depth for a unit
-    t; `distance` and `marker` work in the same way. matches: of the pose. maps, markers: from
-    `scale`. Depths that the matches show to be distances along the rays are converted, with a
-    warning; `length_std` covers the doubt. A warning states that the matches contradict the depths,
-    that depths or inliers near a point of `distance` are too few, or that the images contradict a
-    marker, see `marker_side`.
+    t; `marker` works in the same way. matches: of the pose. maps, markers: from `scale`. Depths
+    that the matches show to be distances along the rays are converted, with a warning; `length_std`
+    covers the doubt. A warning states that the matches contradict the depths, that depths are too
+    few, or that the images contradict a marker, see `marker_side`.
     """
     if pose.R is None or pose.t is None or pose.camera1 is None or pose.camera2 is None:
         return pose
     baseline = numbers(scale.baseline)
-    distance = numbers(scale.distance)
     if baseline:
         return replace(pose, length=baseline[0], length_std=[*baseline, None][1])
-    if not distance and not markers and all(inverse is None for inverse in maps):
+    if not markers and all(inverse is None for inverse in maps):
         return pose
     cameras = pose.camera1, pose.camera2
     points = matches.points1[pose.inliers], matches.points2[pose.inliers]
     rays = cameras[0].normalise(points[0]), cameras[1].normalise(points[1])
     deviating = _deviating(pose)
-    source = _Source(partial(_by_distance, rays, cameras[0], distance or ()))
+    warnings = pose.warnings
     try:
         if markers:
-            source = _marker_source(rays, cameras, markers, scale.marker or 0.0, pose.R, pose.t)
-        elif not distance:
+            source = _by_markers(rays, cameras, markers, scale.marker or 0.0, pose.R, pose.t)
+        else:
             z = np.array([_depths_at(*pair) for pair in zip(maps, points, strict=True)])
-            source = _depth_source(rays, z, scale.depth_std, (pose.R, pose.t), deviating)
+            source = _by_depths(rays, z, scale.depth_std, (pose.R, pose.t), deviating)
+        warnings += source.warnings
         length, own, scatter = source.measure(pose.R, pose.t)
         moved = [source.measure(R, t)[0] - length for R, t in deviating]
     except InputError as error:
-        warning = f"the length of t is not known: {error}"
-        return replace(pose, warnings=(*pose.warnings, *source.warnings, warning))
-    warnings = (*pose.warnings, *source.warnings)
+        return replace(pose, warnings=(*warnings, f"the length of t is not known: {error}"))
     # The focal lengths scale the angles that depths are triangulated from.
     stds = own, *moved, *(length * camera.focal_std for camera in cameras)
     if scatter > _CONTRADICTS:
@@ -168,7 +154,7 @@ class _Source(NamedTuple):
     is_sure: bool = True  # whether the deviation is known
 
 
-def _depth_source(
+def _by_depths(
     rays: Rays,
     z: np.ndarray,
     depth_std: float,
@@ -186,7 +172,7 @@ def _depth_source(
     return _Source(partial(length_by_depths, rays, along_axis, depth_std, 1 - likely), (warning,))
 
 
-def _marker_source(
+def _by_markers(
     rays: Rays,
     cameras: Sequence[Camera],
     markers: Sequence[Mapping[str, np.ndarray]],
@@ -221,37 +207,6 @@ def _deviating(pose: RelativePose) -> list[tuple[np.ndarray, np.ndarray]]:
         t = pose.t + step[3:]
         poses.append((cv2.Rodrigues(step[:3])[0] @ pose.R, t / np.linalg.norm(t)))
     return poses
-
-
-def _by_distance(
-    rays: tuple[np.ndarray, np.ndarray],
-    camera1: Camera,
-    distance: Sequence[float],
-    R: np.ndarray,
-    t: np.ndarray,
-) -> tuple[float, float, float]:
-    """The measure of a distance in the scene, see `ScaleSource`. Raises InputError if too few
-    inliers are near one of its points."""
-    inverse, std = inverse_depths(*rays, R, t)
-    ends = camera1.normalise(np.reshape(distance[:4], (2, 2)))
-    radius = cell_side(camera1)
-    points = homogeneous(ends)
-    off = np.zeros((2, 3))
-    for n, end in enumerate(ends):
-        away = np.linalg.norm(rays[0] - end, axis=1)
-        near = [k for k in np.argsort(away)[:_NEAREST] if away[k] < radius]
-        if len(near) < _MIN_NEAR:
-            point = f"({distance[2 * n]:g}, {distance[2 * n + 1]:g})"
-            count = f"{len(near)} inliers are within {radius * camera1.focal:.0f} pixels of {point}"
-            raise InputError(count)
-        middle = np.median(inverse[near])
-        spread = DEVIATION * np.median(np.abs(inverse[near] - middle)) + np.median(std[near])
-        points[n] /= middle
-        off[n] = points[n] * spread / middle
-    apart = points[0] - points[1]
-    length = distance[4] / float(np.linalg.norm(apart))
-    share = off @ apart / (apart @ apart)  # of the distance, by a deviation of each depth
-    return length, length * float(np.linalg.norm(share)), 0.0
 
 
 def _by_marker(

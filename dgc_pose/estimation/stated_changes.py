@@ -44,7 +44,7 @@ _SHIFT_CENTRE_STD = 0.1
 _LOG_ODDS_OF_PICTURE = -9.0  # of a usual K that says nothing of its picture
 
 
-def _in_place_of_K(
+def in_place_of_K(
     change: Callable[[Cameras], Cameras], log_odds: float
 ) -> Callable[[Cameras], Iterator[Variant]]:
     """The variants of a model that changes two cameras whose K is stated."""
@@ -167,9 +167,9 @@ def picture(stated: Cameras) -> Iterator[Variant]:
     yield Variant(separate, odds + (LOG_ODDS_OF_TWO if have_one else 0.0))
 
 
-focal = _in_place_of_K(partial(loosened, focal=OPEN_FOCAL_STD, one=True), -5.5)
-focals = _in_place_of_K(partial(loosened, focal=OPEN_FOCAL_STD, one=False), -8.0)
-lens = _in_place_of_K(_lensed, -5.5)
-_near_centre = _in_place_of_K(partial(loosened, centre=OPEN_CENTRE_STD), -11.0)
-unlensed = _in_place_of_K(_unlensed, -9.0)
-swapped = _in_place_of_K(_swapped, -12.0)
+focal = in_place_of_K(partial(loosened, focal=OPEN_FOCAL_STD, one=True), -5.5)
+focals = in_place_of_K(partial(loosened, focal=OPEN_FOCAL_STD, one=False), -8.0)
+lens = in_place_of_K(_lensed, -5.5)
+_near_centre = in_place_of_K(partial(loosened, centre=OPEN_CENTRE_STD), -11.0)
+unlensed = in_place_of_K(_unlensed, -9.0)
+swapped = in_place_of_K(_swapped, -12.0)

@@ -67,14 +67,20 @@ class ImageCache:
     def get_all(self, wanted: Sequence[Wanted], *, in_turn: bool) -> list[Any]:
         """`get` for each of `wanted`. Missing values are computed in threads, or one after another
         if `in_turn`."""
-        makes = {
-            (image, key): make
-            for image, key, make in wanted
-            if not in_turn and key not in self._kept.get(image, {})
-        }
-        values = in_threads(lambda make: make(), list(makes.values()))
-        makes = {of: partial(lambda it: it, value) for of, value in zip(makes, values, strict=True)}
-        return [self.get(image, key, makes.get((image, key), make)) for image, key, make in wanted]
+        missing = {}
+        for image, key, make in wanted:
+            if not in_turn and key not in self._kept.get(image, {}):
+                missing[image, key] = make
+        made = in_threads(lambda make: make(), list(missing.values()))
+        values = dict(zip(missing, made, strict=True))
+
+        result = []
+        for image, key, make in wanted:
+            is_made = (image, key) in values
+            result.append(
+                self.get(image, key, partial(values.get, (image, key)) if is_made else make)
+            )
+        return result
 
     def forget(self, image: Image) -> None:
         """Drop an image and its values."""
@@ -94,7 +100,6 @@ class ImageCache:
         return self._kept[image]
 
     def _bytes(self, image: Image) -> int:
-        """Bytes of a cached image with its values."""
         beside = sum(value.nbytes for value in self._kept[image].values())
         return int(image.pixels.nbytes) + max(beside, self.beside_bytes)
 

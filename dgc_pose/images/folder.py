@@ -42,6 +42,7 @@ def search_images(folder: str | Path) -> FolderImages:
     bad: dict[str, str] = {}
     skipped = defaultdict[tuple[str, str], list[str]](list)  # by kind and reason
     searched: set[str] = set()
+
     # Links to folders come last, so that a file is named by the folder that contains it.
     folders = [root]
     links = list[Path]()
@@ -51,6 +52,7 @@ def search_images(folder: str | Path) -> FolderImages:
         if resolved in searched:
             continue
         searched.add(resolved)
+
         try:
             entries = sorted(os.listdir(parent))
         except OSError as failure:
@@ -59,6 +61,7 @@ def search_images(folder: str | Path) -> FolderImages:
             name = parent.relative_to(root).as_posix()
             skipped["folder", failure.strerror or str(failure)].append(name)
             continue
+
         for path in (parent / entry for entry in entries if not entry.startswith(".")):
             name = path.relative_to(root).as_posix()
             if not os.path.isdir(path):
@@ -73,6 +76,7 @@ def search_images(folder: str | Path) -> FolderImages:
                 skipped["folder", "previews that a device made"].append(name)
             else:
                 (links if path.is_symlink() else folders).append(path)
+
     lines = (skipped_line(kind, paths, why) for (kind, why), paths in skipped.items())
     return FolderImages(tuple(sorted(names)), tuple(lines), dict(sorted(bad.items())))
 

@@ -160,7 +160,7 @@ def load_image(source: ImageSource, name: str = "image") -> Image:
     is_last = not is_tensor(source) and array.shape[-1:] in ((1,), (3,), (4,))
     if array.ndim == 3 and array.shape[0] in (1, 3, 4) and not is_last:
         array = np.moveaxis(array, 0, 2)
-    return _of_array(array, name)
+    return _from_array(array, name)
 
 
 def _read_file(path: Path) -> Image:
@@ -170,13 +170,13 @@ def _read_file(path: Path) -> Image:
             array = cv2.cvtColor(array, cv2.COLOR_BGR2RGB, dst=array)  # in place: it may be large
         elif array.ndim == 3 and array.shape[2] >= 3:
             array = array[:, :, [2, 1, 0, 3][: array.shape[2]]]  # OpenCV stores BGR(A)
-        image = _of_array(turned(array, header.exif.orientation), path)
+        image = _from_array(turned(array, header.exif.orientation), path)
         aspect = header.pixel_aspect
         projection = header.projection
         return replace(image, exif=header.exif, pixel_aspect=aspect, projection=projection)
 
 
-def _of_array(array: np.ndarray, name: str | Path) -> Image:
+def _from_array(array: np.ndarray, name: str | Path) -> Image:
     if array.ndim == 2:
         array = array[:, :, None]
     if array.ndim != 3 or array.shape[2] not in (1, 3, 4) or array.size == 0:

@@ -14,9 +14,8 @@ import numpy as np
 
 from dgc_pose.batch.source import similarity
 from dgc_pose.cameras.by_image import KDetails
-from dgc_pose.cameras.calibration import image_camera
+from dgc_pose.cameras.calibration import single_camera
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.prior import auto_camera, with_lines
 from dgc_pose.colmap.tracking import points_in
 from dgc_pose.errors import ImageError, InputError
 from dgc_pose.estimation import (
@@ -149,8 +148,7 @@ class Locator:
         image = load_image(query, "query")
         image = masked(image, mask_file(self.masks, Path(image.name).name))
         require_matchable(image)
-        stated = image_camera(K, image, "K", details or KDetails())
-        (camera,) = with_lines([stated], [image])
+        camera = single_camera(K, image, "K", details or KDetails())
         return image, camera, time.perf_counter() - start
 
     def _located(
@@ -224,7 +222,7 @@ class Locator:
             seconds["estimate"] += time.perf_counter() - matched
             against_K = max(against_K, search.num_against_K)
             if search.contradicts_K:
-                (assumed,) = with_lines([auto_camera(image)], [image])
+                assumed = single_camera(None, image)
                 search = LocationSearch(
                     self.model, assumed, estimation, names, whole=whole, most=most
                 )

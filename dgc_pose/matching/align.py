@@ -54,6 +54,7 @@ def refine(
     if len(local.index) < MIN_MATCHES:
         none = matches.subset(local.index[:0])
         return none, none
+
     agreeing = matches.subset(local.index)
     pixels1 = image1.pixels
     pixels2 = image2.pixels
@@ -67,6 +68,7 @@ def refine(
         confidence=aligned.zncc[good].clip(0, 1),
         error_px=ALIGNED_ERROR_PX * aligned.pixel,
     )
+
     rows = np.searchsorted(local.index, aligned.index[good])
     points1 = agreeing.points1.copy()
     points2 = agreeing.points2.copy()

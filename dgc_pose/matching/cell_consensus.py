@@ -122,12 +122,12 @@ def propagate(
         total = scores.copy()
         for cells, neighbours, agreement in supports:
             # Two neighbours support each other by the same agreement.
-            for to, of, agreed in (
+            for receivers, senders, agreed in (
                 (cells, neighbours, agreement),
                 (neighbours, cells, agreement.transpose(0, 2, 1)),
             ):
-                messages = (agreed @ probability[of][:, :, None])[..., 0]
-                total[to] += WEIGHT * np.log(FLOOR + messages)
+                messages = (agreed @ probability[senders][:, :, None])[..., 0]
+                total[receivers] += WEIGHT * np.log(FLOOR + messages)
         beliefs = log_softmax(total, 1)
     return beliefs
 
@@ -154,8 +154,8 @@ class EpipolarBand:
         children: bool,
     ) -> None:
         finer = 2 if children else 1
-        seen = (*source, views.camera1), (*target, views.camera2)
-        (self.points1, side1), (self.points2, side2) = (_normalised(*of, finer) for of in seen)
+        self.points1, side1 = _normalised(*source, views.camera1, finer)
+        self.points2, side2 = _normalised(*target, views.camera2, finer)
         self.E = views.E.astype(np.float32)
         self.limit = _BAND * (side1 + side2) / 2  # Sampson distance, in the points' unit
 

@@ -74,6 +74,7 @@ def dense_map(
         if again[1][inside].mean() > mean:
             views = likely
             points, matchability, size = again
+
     seen = matchability.shape[::-1]
     grid = whole[1].centres(seen)
     if views[1] != whole[1]:  # resample to image 2 as it is; matchability 0 outside the view
@@ -85,6 +86,7 @@ def dense_map(
         matchability = bilinear(matchability, at)
         shown = within(views[1].to_view(grid), views[1].size)
         matchability = np.where(shown, matchability, np.float32(0))
+
     return CorrespondenceMap(
         map=views[0].to_image(points, size).astype(np.float32),
         grid=grid.astype(np.float32),
@@ -106,8 +108,6 @@ def map_features(engine: Engine, cache: ImageCache, *views: View) -> list[MapFea
 
 @dataclass(frozen=True, eq=False)
 class _Thumbnail:
-    """A small copy of an image."""
-
     points: np.ndarray  # (N, 2), centres of the cells inside, in pixels of the image
     pixel: float  # side of the copy's pixels, in pixels of the image
     features: NativeFeatures

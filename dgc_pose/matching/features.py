@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 
@@ -57,18 +58,25 @@ Shown = tuple[View, Size]  # a view, and the columns and rows of stride 16 that 
 Encoded = tuple[View, NativeFeatures]
 
 
+@dataclass(frozen=True, eq=False)
+class CommonViews:
+    """Views of the matching parts of both images, at a common orientation and, to the octave, one
+    scale."""
+
+    first: Shown
+    second: Shown
+    scale: float  # of their sides, over the sides at full resolution
+
+
 def feature_matches(
     engine: Engine,
-    image1: Image,
-    image2: Image,
-    dense: CorrespondenceMap,
     cache: ImageCache,
-    long_side: int = LONG_SIDE,
+    dense: CorrespondenceMap,
+    views: CommonViews,
     hypotheses: Sequence[TwoViews] | None = None,
-) -> tuple[list[Matches], list[Encoded], float]:
+) -> list[Matches]:
     """Mutual nearest neighbours of the features, guided by the map, from each of several
-    comparisons; the confidence is their cosine. Also returns the views of both images, encoded,
-    and their scale, see `_compared_views`.
+    comparisons; the confidence is their cosine.
 
     hypotheses: of the pose. None for one comparison of both views; otherwise other comparisons:
 
@@ -76,35 +84,22 @@ def feature_matches(
       the other from the front then looks alike;
     - for each of the first hypotheses, of cells near its epipolar lines.
     """
-    first, second, scale = _compared_views(image1, image2, dense, long_side)
+    first = views.first
+    second = views.second
     comparisons: list[tuple[Shown, Shown, TwoViews | None]] = [(first, second, None)]
     if hypotheses is not None:
         comparisons = []
         for axis in (0, 1):
             comparisons.append((_squeezed(first, axis), second, None))
             comparisons.append((first, _squeezed(second, axis), None))
-        comparisons += [(first, second, views) for views in hypotheses[:MOST_HYPOTHESES]]
+        comparisons += [(first, second, pose) for pose in hypotheses[:MOST_HYPOTHESES]]
     encoded = encode_each(engine, cache, chain(*(comparison[:2] for comparison in comparisons)))
 
     def compare(comparison: tuple[Shown, Shown, TwoViews | None]) -> Matches:
         source, target, hypothesis = comparison
         return _neighbours(engine, dense, encoded[source], encoded[target], hypothesis)
 
-    return in_threads(compare, comparisons), [encoded[first], encoded[second]], scale
-
-
-def encoded_views(
-    engine: Engine,
-    image1: Image,
-    image2: Image,
-    dense: CorrespondenceMap,
-    cache: ImageCache,
-    long_side: int = LONG_SIDE,
-) -> tuple[list[Encoded], float]:
-    """The views that `feature_matches` compares, encoded, and their scale."""
-    first, second, scale = _compared_views(image1, image2, dense, long_side)
-    encoded = encode_each(engine, cache, (first, second))
-    return [encoded[first], encoded[second]], scale
+    return in_threads(compare, comparisons)
 
 
 def encode_each(engine: Engine, cache: ImageCache, shown: Iterable[Shown]) -> dict[Shown, Encoded]:
@@ -117,12 +112,10 @@ def encode_each(engine: Engine, cache: ImageCache, shown: Iterable[Shown]) -> di
     return encoded
 
 
-def _compared_views(
-    image1: Image, image2: Image, dense: CorrespondenceMap, long_side: int
-) -> tuple[Shown, Shown, float]:
-    """Views of the matching parts of both images, at a common orientation, each with its columns
-    and rows of stride 16. These give both one scale, to the octave, and a longest side of about
-    `long_side` pixels. Also returns the ratio of the sides to the sides at full resolution."""
+def common_views(
+    image1: Image, image2: Image, dense: CorrespondenceMap, long_side: int = LONG_SIDE
+) -> CommonViews:
+    """The views to compare, by the map, with a longest side of about `long_side` pixels."""
     scale = 2.0 ** round(math.log2(scale_between(dense)))
     points1, points2 = matchable_points(dense)
     angle = rotation_between(points1, points2)
@@ -143,7 +136,7 @@ def _compared_views(
     first = shown_at(view1, factor1)
     second = shown_at(view2, factor2)
     full = shown_at(view1, full1)
-    return first, second, max(first[1]) / max(full[1])
+    return CommonViews(first, second, max(first[1]) / max(full[1]))
 
 
 def shown_at(view: View, factor: float) -> Shown:
@@ -173,11 +166,13 @@ def _neighbours(
     view1, source = first
     view2, target = second
     guided = _guided_cells(dense, first, second)
+
     coarse = None
     middle = None
     if hypothesis is not None:
         coarse = EpipolarBand(hypothesis, first, second, children=False).all()
         middle = EpipolarBand(hypothesis, first, second, children=True)
+
     candidates = likely_cells(
         source,
         target,
@@ -189,10 +184,12 @@ def _neighbours(
     )
     candidates = np.concatenate([candidates, guided], 1)
     cells1, cells2, cosine = mutual_neighbours(source, target, candidates, middle)
+
     fine1, fine2 = subcell_points(source.fine, target.fine, cells1, cells2)
     points1 = view1.to_image(fine1, source.fine.shape[1::-1])
     points2 = view2.to_image(fine2, target.fine.shape[1::-1])
     inside = view1.shows(points1) & view2.shows(points2)
+
     area1, area2 = (  # area of a cell of stride 4, pixels of the original
         math.prod(view.size) / math.prod(features.fine.shape[:2]) / view.scale**2
         for view, features in (first, second)

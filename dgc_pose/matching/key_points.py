@@ -70,7 +70,6 @@ class KeyPointMatcher(Matcher):
         raise NotImplementedError
 
     def _matched(self, found1: KeyPoints, found2: KeyPoints) -> Rows:
-        """The rows of the first and of the second key points that match, and their confidences."""
         raise NotImplementedError
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
@@ -115,11 +114,12 @@ class SiftMatcher(KeyPointMatcher):
         forward = matcher.knnMatch(found1.descriptors, found2.descriptors, k=2)
         other_way = matcher.match(found2.descriptors, found1.descriptors)
         backward = {m.queryIdx: m.trainIdx for m in other_way}
-        kept = [
-            (best.queryIdx, best.trainIdx, 1 - best.distance / max(second.distance, 1e-12))
-            for best, second in forward
-            if best.distance < RATIO * second.distance and backward[best.trainIdx] == best.queryIdx
-        ]
+        kept = []
+        for best, second in forward:
+            is_mutual = backward[best.trainIdx] == best.queryIdx
+            if is_mutual and best.distance < RATIO * second.distance:
+                confidence = 1 - best.distance / max(second.distance, 1e-12)
+                kept.append((best.queryIdx, best.trainIdx, confidence))
         table = np.array(kept, dtype=np.float64).reshape(-1, 3)
         return table[:, 0].astype(int), table[:, 1].astype(int), table[:, 2]
 

@@ -102,7 +102,6 @@ class LightGlueMatcher(KeyPointMatcher):
         return _Left(np.arange(len(angles)), descriptors, np.cos(angles), np.sin(angles))
 
     def _attended(self, layer: int, left: list[_Left]) -> list[_Left]:
-        """The key points with their descriptors after a layer."""
         first, second = left
         descriptors = self._session(f"layers.{layer}")(
             first.descriptors,

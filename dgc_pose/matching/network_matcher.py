@@ -21,7 +21,13 @@ from dgc_pose.matching.correspondence_map import (
     select_matches,
 )
 from dgc_pose.matching.dense import dense_map, map_features
-from dgc_pose.matching.features import LONG_SIDE, Encoded, encoded_views, feature_matches
+from dgc_pose.matching.features import (
+    LONG_SIDE,
+    CommonViews,
+    common_views,
+    encode_each,
+    feature_matches,
+)
 from dgc_pose.matching.lightglue import LightGlueMatcher, as_second, is_available
 from dgc_pose.matching.matcher import Matcher, MatchResult
 from dgc_pose.matching.texture import context_ratio
@@ -122,8 +128,8 @@ class NetworkMatcher(Matcher):
             return result
         if result.aligned is not None:
             aligned = agreeing = Matches.joined([result.matches, aligned])
-        encoded = encoded_views(self.engine, image1, image2, dense, self.cache)
-        return self._selected(image1, image2, dense, aligned, agreeing, encoded) or result
+        views = common_views(image1, image2, dense)
+        return self._selected(views, dense, aligned, agreeing) or result
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         dense = dense_map(self.engine, image1, image2, self.cache)
@@ -144,9 +150,8 @@ class NetworkMatcher(Matcher):
         """The matches of `feature_matches`, refined on the images; None if too few remain. instead:
         matches to refine if too few of these remain. first: pairs of aligned and agreeing matches
         (see `refine`) to add."""
-        found, views, scale = feature_matches(
-            self.engine, image1, image2, dense, self.cache, side, hypotheses
-        )
+        views = common_views(image1, image2, dense, side)
+        found = feature_matches(self.engine, self.cache, dense, views, hypotheses)
         most = self.options.max_matches
         radius = COARSE_CORNER_RADIUS if side == COARSE_SIDE else CORNER_RADIUS
 
@@ -158,7 +163,7 @@ class NetworkMatcher(Matcher):
         too_few = len(aligned) < MIN_ALIGNED and len(agreeing) < MIN_MATCHES
         if instead is not None and too_few:
             aligned, agreeing = self._joined(image1, image2, [aligned_and_agreeing(instead)])
-        return self._selected(image1, image2, dense, aligned, agreeing, (views, scale))
+        return self._selected(views, dense, aligned, agreeing)
 
     def _joined(
         self, image1: Image, image2: Image, parts: Sequence[tuple[Matches, Matches]]
@@ -171,16 +176,10 @@ class NetworkMatcher(Matcher):
         return aligned, agreeing
 
     def _selected(
-        self,
-        image1: Image,
-        image2: Image,
-        dense: CorrespondenceMap,
-        aligned: Matches,
-        agreeing: Matches,
-        encoded: tuple[Sequence[Encoded], float],
+        self, views: CommonViews, dense: CorrespondenceMap, aligned: Matches, agreeing: Matches
     ) -> MatchResult | None:
         """The result of aligned and agreeing matches (see `refine`), evenly spread; None if too few
-        agree. encoded: the views of both images with their scale, see `encoded_views`."""
+        agree."""
         # Patches of views far apart often differ too much. Few aligned matches are more accurate,
         # but cannot distinguish a pose from chance. All agreeing matches are then used, with the
         # error that they had before alignment.
@@ -188,9 +187,12 @@ class NetworkMatcher(Matcher):
         chosen = aligned if enough else agreeing
         if len(chosen) < MIN_MATCHES:
             return None
+        both = (views.first, views.second)
+        image1, image2 = (view.image for view, _ in both)
         most = self.options.max_matches
         chosen = chosen.subset(spread(chosen.points2, chosen.confidence, image2.size, most))
-        views, scale = encoded
-        share = context_ratio(views, self.textures(image1, image2), chosen, scale)
+        encoded = encode_each(self.engine, self.cache, both)
+        shown = [encoded[view] for view in both]
+        share = context_ratio(shown, self.textures(image1, image2), chosen, views.scale)
         chosen = replace(chosen, context_ratio=share)
         return MatchResult(chosen, dense, chosen if enough else aligned)

@@ -58,17 +58,20 @@ def consistent(matches: Matches, neighbours: int) -> LocalMatches:
     points2 = points2[finite]
     if len(points1) <= neighbours:
         return LocalMatches(points1[:0], points2[:0], np.zeros((0, 2, 2)), finite[:0])
+
     distance, index = nearest(points2, neighbours + 1)
     # All arrays have the axis of the matches last: NumPy is slow along short axes.
     near1, near2 = (np.take(points.T, index.T, axis=1) for points in (points1, points2))
     offsets = near2 - points2.T[:, None]
     design = np.concatenate([offsets, np.ones_like(offsets[:1])])  # (3, k + 1, N)
+
     tolerance = _TOLERANCE * matches.error_px
     reach = distance[:, -1] + tolerance
     distance1 = np.linalg.norm(near1 - np.median(near1, 1, keepdims=True), axis=0)
     weights = 1 / (1 + (distance1 / (3 * reach)) ** 2)
     # Ridge towards zero slope: keeps the fit finite for neighbours on a line or at one point.
     ridge = 1e-3 * (np.eye(3) * (1, 1, 0)) * tolerance**2
+
     for remaining in reversed(range(_ROUNDS)):
         weighted = design * weights
         normal = np.einsum("ikn,jkn->ijn", weighted, design).transpose(2, 0, 1) + ridge
@@ -76,6 +79,7 @@ def consistent(matches: Matches, neighbours: int) -> LocalMatches:
         fit = np.ascontiguousarray(np.linalg.solve(normal, right).transpose(1, 2, 0))  # (3, 2, N)
         residual = np.linalg.norm((fit[:, :, None] * design[:, None]).sum(0) - near1, axis=0)
         weights = 1 / (1 + (residual / (tolerance * (1 + 2 * remaining))) ** 2) ** 2
+
     (xx, yx), (xy, yy), fitted = fit
     # Half the sum and half the difference of the singular values; middle - half < 0 if mirrored.
     middle = np.hypot(xx + yy, yx - xy) / 2
@@ -132,6 +136,7 @@ def _align(
     affinity = matches.affinity.copy()
     zncc = np.zeros(len(points1))
     length = np.full(len(points1), np.inf)
+
     for _ in range(_AFFINE_ITERATIONS if affine else _ITERATIONS):
         moving = np.flatnonzero(length >= _STILL)
         if len(moving) == 0:
@@ -141,6 +146,7 @@ def _align(
         x, y = affinity[moving].transpose(1, 0, 2).astype(np.float32) @ offsets.T
         x += centres[:, :1]
         y += centres[:, 1:]
+
         patch, contrast = _standardised(bilinear_at(grey1, x, y), weights)
         expected = patches[moving]
         flat = np.minimum(contrast, contrasts[moving])[:, 0] < _FLAT
@@ -149,12 +155,14 @@ def _align(
         length[moving] = np.linalg.norm(step[:, :2], axis=1)
         if affine:
             length[moving] = np.maximum(length[moving], np.abs(step[:, 2:]).max(1))
+
         step *= np.minimum(1, most / np.maximum(length[moving], 1e-9))[:, None]
         # The template moved by `step` equals the patch, so the patch moves back by it.
         if affine:
             change = step[:, 2:].reshape(-1, 2, 2).transpose(0, 2, 1) / radius
             affinity[moving] = affinity[moving] @ np.linalg.inv(np.eye(2) + change)
         points1[moving] -= (affinity[moving] @ step[:, :2, None])[..., 0]
+
     if affine:
         zncc[~_alike(matches.affinity, affinity)] = -1
     return points1, affinity, zncc, length
@@ -175,6 +183,7 @@ def _template(
     offsets = window_offsets(radius).astype(np.float32)
     weights = np.exp(-(offsets**2).sum(1) / (2 * (0.6 * radius) ** 2))
     weights /= weights.sum()
+
     patches, contrast = _standardised(_window(grey, points, axis, axis), weights)
     across = _window(grey, points, halves, axis)
     down = _window(grey, points, axis, halves)
@@ -183,6 +192,7 @@ def _template(
         np.diff(down.reshape(-1, len(halves), len(axis)), axis=1),
     )
     jacobian = np.stack(slopes, 1).reshape(-1, 2, len(offsets)) / contrast[..., None]
+
     ridge = np.full(2, _RIDGE)
     if affine:
         x, y = offsets.T / np.float32(radius)
@@ -191,6 +201,7 @@ def _template(
         # Remove what gain and offset explain: an enlargement can resemble a gain.
         jacobian -= (jacobian @ weights)[..., None]
         jacobian -= ((jacobian * patches[:, None]) @ weights)[..., None] * patches[:, None]
+
     weighted = jacobian * weights
     hessian = weighted @ jacobian.transpose(0, 2, 1) + np.diag(ridge)
     gain = np.linalg.inv(hessian).astype(np.float32) @ weighted

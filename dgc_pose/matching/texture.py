@@ -192,11 +192,13 @@ def _likeness(
     centres1, centres = (
         view.centres(sides).reshape(-1, 2) for view, sides in ((view1, sides1), (view2, sides2))
     )
+
     random = pixel_grid(sides1).reshape(-1, 2)[within(centres1, view1.image.size)]
     at = view2.to_view(matches.points2, sides2)
     distance, nearest = nearest_to(pixel_grid(sides2).reshape(-1, 2), at)
     distance = distance / scale
     usable = texture.at(centres) & ~view2.image.is_masked(centres)
+
     result = []
     for kind in (distance < _AT_MATCHES, (distance >= _RIM[0]) & (distance < _RIM[1])):
         chosen = rng.permutation(np.flatnonzero(kind & usable))[:_MOST]
@@ -207,7 +209,7 @@ def _likeness(
         shown = within(place, sides1) & view1.shows(points)
         wanted = features2.middle.reshape(len(centres), -1)[chosen[shown]]
         places = random[rng.integers(len(random), size=(_PLACES, len(wanted)))]
-        elsewhere = [_best(features1.middle, wanted, of) for of in places]
+        elsewhere = [_best(features1.middle, wanted, other) for other in places]
         result.append(_best(features1.middle, wanted, place[shown]) - np.mean(elsewhere, 0))
     return result
 

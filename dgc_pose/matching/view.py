@@ -114,6 +114,5 @@ def _cosine_sine(angle_deg: float) -> tuple[float, float]:
     quarters, rest = divmod(angle_deg, 90)
     cosine = math.cos(math.radians(rest))
     sine = math.sin(math.radians(rest))
-    for _ in range(int(quarters) % 4):
-        cosine, sine = -sine, cosine
-    return cosine, sine
+    turns = ((cosine, sine), (-sine, cosine), (-cosine, -sine), (sine, -cosine))
+    return turns[int(quarters) % 4]

@@ -41,6 +41,7 @@ class EfficientPyramid(nn.Module):
             nn.Conv2d(24, 32, 3, padding=1),
             nn.ReLU(),
         )
+
         self.stem = nn.Sequential(_strided(3, STEM_CHANNELS, 3), nn.ReLU6())
         inputs = STEM_CHANNELS
         taken = {}
@@ -50,6 +51,7 @@ class EfficientPyramid(nn.Module):
             inputs = channels
             if index in LAST_BLOCKS:
                 taken[LAST_BLOCKS[index]] = channels
+
         self.head_4 = nn.Conv2d(taken[4], 128, 1)
         self.lift_4 = nn.Conv2d(taken[4], 128, 1)
         self.head_3 = nn.Conv2d(taken[3], 128, 1)

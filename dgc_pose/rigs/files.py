@@ -67,10 +67,7 @@ def _facts(location: Location, camera: Camera) -> dict[str, Any]:
         "position_error_90": location.position_error_90,
         "covariance": plain(location.covariance),
         "probability": location.probability,
-        "focal_std": camera.focal_std,
-        "centre_std_px": camera.centre_std,
-        "lens_std": camera.lens_std,
-        "aspect_std": camera.aspect_std,
+        **camera.deviations,
     }
 
 

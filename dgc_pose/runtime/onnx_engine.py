@@ -91,6 +91,7 @@ class OnnxEngine:
         else:
             above = COARSEST + 1
             state = self._start(source, target)
+
         for level in range(above - 1, last - 1, -1):
             previous = state if level == COARSEST else self._session(graphs.UPSAMPLE)(state)[0]
             features1 = source.levels[level]
@@ -104,6 +105,7 @@ class OnnxEngine:
             cell = np.array([2 / columns, 2 / rows, 1], np.float32)[:, None, None]
             decoder = self._session(f"reg_{level}.onnx")
             (state,) = decoder(warped, features2, local[None], previous, cell[None])
+
         self._begun = source, target, last, state
         normalised = np.nan_to_num(state[0, :2].transpose(1, 2, 0), nan=-2.0)  # edges at -1 and 1
         points = ((normalised + 1) * np.array(source.size, np.float32) - 1) / 2

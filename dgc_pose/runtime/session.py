@@ -35,11 +35,13 @@ class Session:
         options.add_session_config_entry(SHARED_ARENA, "1")
         # Threads without work must not take the processor from other processes.
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+
         # The values must outlive the session.
         self._values = [
             onnxruntime.OrtValue.ortvalue_from_numpy(value) for value in weights.values()
         ]
         options.add_external_initializers(list(weights), self._values)
+
         try:
             self._session = onnxruntime.InferenceSession(
                 str(path),
@@ -49,6 +51,7 @@ class Session:
             )
         except Exception as error:  # onnxruntime's errors have no common base
             raise WeightsError(f"{path.name}: {str(error).splitlines()[0]}") from error
+
         self.inputs, self.outputs = (
             [(tensor.name, tensor.shape) for tensor in tensors]
             for tensors in (self._session.get_inputs(), self._session.get_outputs())

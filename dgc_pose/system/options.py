@@ -75,12 +75,12 @@ def check_options(options: Any) -> None:
     For `__post_init__` of option dataclasses. None passes if it is the default or of the type.
     """
     cls: Any = type(options)
-    for of in fields(options):
-        name = ArgumentName(of.name)
-        info = option_info(of)
-        value = getattr(options, of.name)
+    for entry in fields(options):
+        name = ArgumentName(entry.name)
+        info = option_info(entry)
+        value = getattr(options, entry.name)
         kind, optional = field_types(cls)[name]
-        if value is None and (optional or of.default is None):
+        if value is None and (optional or entry.default is None):
             continue
         check_type(value, kind, name)
         if get_origin(kind) is Literal and value not in get_args(kind):

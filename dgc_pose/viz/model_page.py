@@ -95,7 +95,6 @@ def pose_page(result: PairResult) -> str:
 
 
 def _inside(model: Model, folder: Path) -> list[str]:
-    """The model's images that lie in a folder, sorted."""
     where = folder.resolve()
     return sorted(name for name in model.poses if (model.root / name).parent.resolve() == where)
 
@@ -119,7 +118,6 @@ def _facts(model: Model, name: str, unit: str) -> str:
 
 
 def _optics(camera: Camera, size: tuple[int, int] | None) -> str:
-    """The focal length of a camera, and the size of its image."""
     pixels = "" if size is None else f", {size[0]} x {size[1]} pixels"
     return f"f = {camera.focal:.1f} px{pixels}"
 

@@ -99,7 +99,6 @@ def _headline(pose: RelativePose) -> str:
 
 
 def _panels(result: PairResult, counts: str, legend: str) -> list[tuple[float, str]]:
-    """The aspects and titles of the panels."""
     aspect1, aspect2 = (
         width / height for width, height in (result.image1.size, result.image2.size)
     )
@@ -138,8 +137,8 @@ def _panels_in_rows(panels: list[tuple[float, str]], headline: str) -> tuple[Fig
     parts = figure.subfigures(len(rows), 1, squeeze=False, height_ratios=heights)
     for row, part in zip(rows, parts[:, 0], strict=True):
         aspects = [aspect for aspect, _ in row]
-        of_row = part.subplots(1, len(row), width_ratios=aspects, squeeze=False)[0]
-        for axes, (aspect, title) in zip(of_row, row, strict=True):
+        axes_of_row = part.subplots(1, len(row), width_ratios=aspects, squeeze=False)[0]
+        for axes, (aspect, title) in zip(axes_of_row, row, strict=True):
             words = _wrapped(title, WIDTH * aspect / sum(aspects))
             axes.set_title(words, fontsize=10, loc="left", parse_math=False)
             drawn.append(axes)

@@ -6,6 +6,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from results import exif_camera
 from scenes import camera_scene, pinhole
 
 from dgc_pose.batch.folder_cameras import by_image, fit_of, folder_cameras, pool, pooled_fit
@@ -20,9 +21,8 @@ from dgc_pose.images.decoding import Exif, Header
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matches import Matches
 
-PRIOR, CENTRE, LENS = 0.4, 5.0, 0.1
-SMALL = (100, 80)
-K = np.array([[110.0, 0, 49.5], [0, 110, 39.5], [0, 0, 1]])
+OPEN = exif_camera()
+PRIOR = OPEN.focal_std
 
 
 def _pooled(values, std, images, weights=None):
@@ -51,7 +51,7 @@ def test_parameters_that_are_correlated():
     np.testing.assert_allclose(std, np.sqrt(np.diag(together)), rtol=1e-3)
 
 
-def test_outliers_do_not_move_it():
+def test_outliers_do_not_move_a_pooled_camera():
     right, wrong = 0.1 + np.linspace(-0.01, 0.01, 9), [-1.2, -1.2, -1.4]
     stds, weights = [0.01] * 9 + [0.005, 0.005, 0.001], [1.0] * 11 + [0.01]
     value, std = _pooled([*right, *wrong], stds, 24, weights)
@@ -64,7 +64,7 @@ def test_errors_of_an_image_are_shared_by_its_pairs(images, count):
     assert _pooled([0.0] * 10, 0.01, images)[1] == pytest.approx(0.01 / count**0.5, rel=1e-3)
 
 
-def test_scatter_widens():
+def test_scatter_widens_the_deviation():
     """Eight fits two deviations away: each of the weight w = 1 / (1 + 4 / 2.385^2), and 4 times
     the variance that they state."""
     value, std = _pooled([-0.02, 0.02] * 4, 0.01, 16)
@@ -73,23 +73,11 @@ def test_scatter_widens():
     assert std == pytest.approx(0.02 / (8 * weight) ** 0.5, rel=0.01)
 
 
-def _camera(identity):
-    return Camera(
-        K,
-        SMALL,
-        focal_std=PRIOR,
-        centre_std=CENTRE,
-        lens_std=LENS,
-        focal_source="exif",
-        identity=identity,
-    )
-
-
 def _pair(name1, name2, focal1, focal2, std=0.01):
     """A pair that tells focal lengths, the principal point (51.5, 39.5), and the lens."""
     lens = Distortion("RADIAL", (0.05, -0.1))
     first, second = (
-        Camera(np.array([focal, focal, 51.5, 39.5]), SMALL, lens) for focal in (focal1, focal2)
+        Camera(np.array([focal, focal, 51.5, 39.5]), OPEN.size, lens) for focal in (focal1, focal2)
     )
     covariance = np.diag([std**2, 0.25, 0.25, 1e-4, 1e-4, 1e-4] * 2)
     pose = RelativePose(
@@ -104,9 +92,14 @@ def _pair(name1, name2, focal1, focal2, std=0.01):
 
 def test_each_camera_has_its_pairs():
     """One of two images, one of an image alone, one that no pair tells, and one that is exact."""
-    cameras = {"a": _camera("x"), "b": _camera("x"), "c": _camera(None), "d": _camera(None)}
+    cameras = {
+        "a": exif_camera("x"),
+        "b": exif_camera("x"),
+        "c": exif_camera(None),
+        "d": exif_camera(None),
+    }
     exact = {"focal_std": 0.0, "centre_std": 0.0, "lens_std": 0.0, "focal_source": "given"}
-    cameras["e"] = replace(_camera("y"), **exact)
+    cameras["e"] = replace(exif_camera("y"), **exact)
     pairs = [
         _pair("a", "b", 121, 121),
         _pair("a", "c", 121, 99),
@@ -126,21 +119,21 @@ def test_each_camera_has_its_pairs():
     lens = pooled["a"].distortion
     assert lens is not None and lens.model == "RADIAL" and pooled["a"].lens_std < 0.011
     np.testing.assert_allclose(lens.coefficients, (0.05, -0.1), rtol=0.01)
-    assert pooled["d"].distortion is None and pooled["d"].lens_std == LENS
+    assert pooled["d"].distortion is None and pooled["d"].lens_std == OPEN.lens_std
     assert (pooled["d"].focal, pooled["d"].focal_std) == (110, PRIOR)
-    assert pooled["d"].focal_source == "exif" and pooled["d"].centre_std == CENTRE
+    assert pooled["d"].focal_source == "exif" and pooled["d"].centre_std == OPEN.centre_std
     backwards = by_image(pool(cameras, pairs[::-1]))
     for name, camera in pooled.items():
         np.testing.assert_array_equal(backwards[name].K, camera.K)
 
 
 def test_images_of_two_sizes_share_no_principal_point():
-    cameras = {"a": _camera("x"), "b": replace(_camera("x"), size=SMALL[::-1])}
+    cameras = {"a": exif_camera("x"), "b": replace(exif_camera("x"), size=(80, 100))}
     pooled = by_image(pool(cameras, [_pair("a", "b", 121, 121)]))
     for name in "ab":
         assert pooled[name].focal == pytest.approx(121, rel=1e-3)
-        np.testing.assert_array_equal(pooled[name].K[:2, 2], K[:2, 2])
-        assert pooled[name].centre_std == CENTRE
+        np.testing.assert_array_equal(pooled[name].K[:2, 2], OPEN.K[:2, 2])
+        assert pooled[name].centre_std == OPEN.centre_std
 
 
 def test_a_pair_without_a_pose_or_of_another_camera_model_fits_no_camera():
@@ -168,13 +161,14 @@ def _folder(out, true, priors=None):
     names = tuple(f"{i}.png" for i in range(len(true)))
     priors = priors or {name: _prior(c) for name, c in zip(names, true, strict=True)}
     pairs = np.array(list(combinations(range(len(true)), 2)))
-    worker = Worker(Job(out, priors, {}, MatcherOptions("sift"), EstimationOptions(runs=3), 2**20))
+    worker = Worker(Job(out, priors, {}, MatcherOptions("sift"), EstimationOptions(runs=1), 2**20))
     alone = []
     for k, (i, j) in enumerate(pairs):
         scene = camera_scene(
             true[i],
             true[j],
             seed=k,
+            count=400,
             outliers=0.1,
             turn_deg=TURNS[k % len(TURNS)],
             centre=CENTRES[k % len(CENTRES)],
@@ -205,7 +199,6 @@ def test_photographs_that_agree_share_a_camera_without_further_work(tmp_path):
 @pytest.mark.parametrize(
     ("focal", "size", "centre", "error"),
     [
-        (1.5 * FOCAL, SIZE, (0.0, 0.0), 0.05),
         (1.3 * FOCAL, SIZE, (170.0, -110.0), 0.05),
         (FOCAL, (900, 600), (-150.0, -100.0), 0.08),  # the lower right three quarters, as they are
     ],
@@ -231,7 +224,7 @@ def test_a_zoomed_or_cut_photograph_has_a_camera_of_its_own(tmp_path, focal, siz
 def test_a_camera_of_one_image_alone_takes_no_other(tmp_path):
     """Of a resized photograph without an identity, as fixed cameras have none."""
     half = SIZE[0] // 2, SIZE[1] // 2
-    true = [pinhole(FOCAL, SIZE)] * COUNT
+    true = [pinhole(FOCAL, SIZE)] * 3
     true[1] = true[1].resized(half)
     priors = {f"{i}.png": _prior(camera) for i, camera in enumerate(true)}
     priors[SECOND] = replace(priors[SECOND], identity=None)
@@ -245,7 +238,7 @@ def test_the_model_of_most_pairs_is_that_of_the_camera(tmp_path):
     """An action camera's fisheye, of which no file says anything."""
     size = (1280, 960)
     fisheye = pinhole(620.0, size, Distortion(FISHEYE, (0.0,) * 4))
-    cameras, _, _ = _folder(tmp_path, [fisheye] * COUNT)
+    cameras, _, _ = _folder(tmp_path, [fisheye] * 3)
     for camera in cameras.values():
         assert camera.distortion is not None and camera.distortion.model == FISHEYE
         assert camera.focal == pytest.approx(620.0, rel=0.03)
@@ -254,10 +247,10 @@ def test_the_model_of_most_pairs_is_that_of_the_camera(tmp_path):
 
 def test_a_stated_camera_stays_that_of_all(tmp_path):
     """A K with a deviation, which one photograph contradicts."""
-    true = [pinhole(FOCAL, SIZE)] * COUNT
+    true = [pinhole(FOCAL, SIZE)] * 3
     stated = replace(true[0], focal_std=0.05, identity="K")
     true[1] = pinhole(1.5 * FOCAL, SIZE)
-    priors = {f"{i}.png": stated for i in range(COUNT)}
+    priors = {f"{i}.png": stated for i in range(3)}
     _, (one,), _ = _folder(tmp_path, true, priors)
     assert {*one.cameras} == {*priors}
 
@@ -265,11 +258,11 @@ def test_a_stated_camera_stays_that_of_all(tmp_path):
 def test_photographs_of_several_zooms_have_no_camera_in_common(tmp_path):
     """Of one size, without EXIF data, as of a rig of two lenses or a zooming camera: most pairs are
     of two cameras."""
-    true = [pinhole(factor * FOCAL, SIZE) for factor in (0.8, 1.0, 1.3, 1.65)]
+    true = [pinhole(factor * FOCAL, SIZE) for factor in (0.8, 1.1, 1.5)]
     cameras, listed, _ = _folder(tmp_path, true)
     for name, camera in zip(sorted(cameras), true, strict=True):
         found = cameras[name]
         assert found.focal == pytest.approx(camera.focal, rel=0.06)
         assert abs(np.log(found.focal / camera.focal)) < 3 * found.focal_std
     reason = "most pairs of its size fit a separate focal length for each photograph"
-    assert [one.why for one in listed] == COUNT * [reason]
+    assert [one.why for one in listed] == 3 * [reason]

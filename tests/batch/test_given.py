@@ -11,12 +11,14 @@ import pytest
 from given_world import COLMAP_CENTRE, given_world, write_hloc, write_npz, write_with_pycolmap
 from worlds import CAMERA, IMAGE
 
-from dgc_pose.batch.given import GivenMatches, IndexedMatches, read_given
+from dgc_pose.batch.given import read_given
+from dgc_pose.batch.given.matches import GivenMatches, IndexedMatches
 from dgc_pose.errors import InputError
 from dgc_pose.images.decoding import Header
 
 WORLD = given_world()
 PAIR = WORLD.names[1], WORLD.names[3]
+POINT = np.array([[1.0, 2.0]])
 MAX_IMAGES = 2**31 - 1  # of COLMAP: pair_id is id1 * MAX_IMAGES + id2, id1 < id2
 SCHEMA_3 = """
 CREATE TABLE cameras (camera_id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, model INTEGER NOT NULL,
@@ -79,13 +81,10 @@ def assert_the_world(given: GivenMatches, step: int = 1, sizes: bool = True) -> 
     """All its images and pairs, in either order, with their matched points."""
     assert {*given.names} == {*WORLD.names} and len(given.places) == len(WORLD.matches)
     assert given.sizes == (dict.fromkeys(WORLD.names, IMAGE) if sizes else {})
-    for (first, second), index in WORLD.matches.items():
-        names = (first, second) if (first, second) in given.places else (second, first)
-        found = given.read(names)
-        found = found if names == (first, second) else found.swapped()
-        points1 = WORLD.key_points[first][index[:, 0]]
-        points2 = WORLD.key_points[second][index[:, 1]]
-        expected = np.column_stack([points1, points2])[::step]
+    for names in WORLD.matches:
+        there = names in given.places
+        found = given.read(names) if there else given.read(names[::-1]).swapped()
+        expected = np.column_stack(WORLD.points(names))[::step]
         read = np.column_stack([found.points1, found.points2])
         order, same = (np.lexsort(np.rint(a * 100).T) for a in (read, expected))
         assert np.abs(read[order] - expected[same]).max() < 1e-3  # float32
@@ -179,8 +178,7 @@ def test_a_folder_of_npz(tmp_path: Path, named: bool) -> None:
 
 def _npz(path: Path, **arrays: object) -> Path:
     path.parent.mkdir(exist_ok=True)
-    points = np.array([[1.0, 2.0]])
-    np.savez(path, points1=points, points2=points, **arrays)  # type: ignore[arg-type]
+    np.savez(path, points1=POINT, points2=POINT, **arrays)  # type: ignore[arg-type]
     return path.parent
 
 
@@ -214,25 +212,17 @@ def test_the_names_of_an_npz_by_its_own(
         given.read(names)
 
 
-@pytest.mark.parametrize(
-    "stated", [("a.jpg", "b.jpg"), (["a.jpg"], ["b.jpg"]), (b"a.jpg", [b"b.jpg"])]
-)
-def test_the_names_that_an_npz_states(tmp_path: Path, stated: tuple[object, object]) -> None:
-    folder = _npz(tmp_path / "n/one.npz", image1=stated[0], image2=stated[1])
-    assert [*read_given(folder).places] == [("a.jpg", "b.jpg")]
-    _npz(tmp_path / "n/two.npz", image1=["a", "b"], image2="c")
-    with pytest.raises(InputError, match=r"two.npz cannot be read as names of images"):
-        read_given(folder)
-
-
-@pytest.mark.parametrize(
-    ("flag", "expected"), [({}, False), ({"key_points": True}, True), ({"key_points": 0}, False)]
-)
-def test_matches_are_of_key_points_if_the_npz_says_so(
-    tmp_path: Path, flag: dict[str, object], expected: bool
-) -> None:
-    given = read_given(_npz(tmp_path / "n/a_b.npz", **flag))
-    assert given.read(("a", "b")).key_points is expected
+def test_what_an_npz_states(tmp_path: Path) -> None:
+    """Its images, in any kind of array, and whether its matches are of key points."""
+    path = tmp_path / "n/a_b.npz"
+    for image1, image2 in (("a.jpg", "b.jpg"), (["a.jpg"], ["b.jpg"]), (b"a.jpg", [b"b.jpg"])):
+        given = read_given(_npz(path, image1=image1, image2=image2))
+        assert [*given.places] == [("a.jpg", "b.jpg")]
+    for stated, expected in (({}, False), ({"key_points": True}, True), ({"key_points": 0}, False)):
+        given = read_given(_npz(path, **stated))
+        assert given.read(("a", "b")).key_points is expected
+    with pytest.raises(InputError, match=r"a_b.npz cannot be read as names of images"):
+        read_given(_npz(path, image1=["a", "b"], image2="c"))
 
 
 def test_a_pair_that_is_there_twice_is_told(tmp_path: Path) -> None:
@@ -271,7 +261,7 @@ def test_the_state_changes_with_a_file(tmp_path: Path) -> None:
     before = given.state
     assert read_given(tmp_path / "n").state == before
     (file, *_) = given.files()
-    np.savez(file, points1=np.ones((1, 2)), points2=np.ones((1, 2)))
+    np.savez(file, points1=POINT, points2=POINT)
     assert given.state != before
 
 
@@ -305,10 +295,8 @@ def _text(path: Path) -> Path:
     return path
 
 
-def _folder(path: Path, *names: str) -> Path:
+def _empty(path: Path) -> Path:
     path.mkdir()
-    for name in names:
-        np.savez(path / name, points1=np.ones((1, 2)), points2=np.ones((1, 2)))
     return path
 
 
@@ -335,13 +323,13 @@ def _other_features(path: Path) -> Path:
         ),
         (lambda path: _without("two_view_geometries", _without_matches(path)), "no such table"),
         (_without_matches, "cannot be read as a COLMAP database (it has no matches)"),
-        (_folder, "holds neither hloc's .h5 nor an .npz"),
-        (lambda path: _folder(path, "one.npz"), "one.npz has no arrays image1 and image2, and its"),
+        (_empty, "holds neither hloc's .h5 nor an .npz"),
+        (lambda path: _npz(path / "one.npz"), "one.npz has no arrays image1 and image2, and its"),
         (_features_alone, "needs one .h5 with matches0, and no file has it"),
         (_other_features, "has no pair of images of feats-any.h5 (first: rows-photo 0.jpg/"),
     ],
 )
-def test_what_is_no_source(tmp_path: Path, write, reason: str) -> None:
+def test_a_path_that_is_no_source_is_refused(tmp_path: Path, write, reason: str) -> None:
     path = write(tmp_path / "source")
     with pytest.raises(InputError) as caught:
         read_given(path)

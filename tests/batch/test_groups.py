@@ -1,19 +1,15 @@
 """The groups of a folder, and the pairs that would join two of them."""
 
-import numpy as np
 import pytest
+from results import pair_row
 
-from dgc_pose import RelativePose
 from dgc_pose.batch.groups import connected, joining
 from dgc_pose.batch.pairs import PairRow
 from dgc_pose.estimation import Status
 
 
 def _row(names: str, status: Status = "ok", likely: float = 0.3) -> PairRow:
-    """A pair of two letters; a pose with R and t if the status is "ok"."""
-    posed = {"R": np.eye(3), "t": np.array([0.0, 0, 1])} if status == "ok" else {}
-    pose = RelativePose(status, "", np.ones(9, bool), 9, any_probability=likely, **posed)
-    return PairRow(names[0], names[1], status, "", pose)
+    return pair_row(names, status, any_probability=likely)
 
 
 def test_chains_of_pairs_connect_and_other_images_are_alone() -> None:

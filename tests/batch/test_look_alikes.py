@@ -6,9 +6,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from results import camera, true_row
+from results import EYE, camera, pair_row
+from scenes import two_views
 from scipy.spatial.transform import Rotation
-from worlds import SIZE, K
 
 from dgc_pose.batch.look_alikes import (
     PlacedPair,
@@ -28,26 +28,16 @@ CENTRES = np.array([[-0.6, 0, 0], [-0.1, 0.1, 0.2], [0.5, -0.1, 0], [0.9, 0.2, 0
 TURNS = Rotation.from_rotvec([[0, 0.1, 0], [0.02, 0, 0], [0, -0.1, 0.05], [0, -0.2, 0]]).as_matrix()
 
 
-def _seen(points: np.ndarray, image: int) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (N, 2) of points of the world in an image, and their depths (N,)."""
-    x = (points - CENTRES[image]) @ TURNS[image].T
-    pixels = x / x[:, 2:] @ K.T
-    return pixels[:, :2], x[:, 2]
-
-
 def _placed(
     first: int, second: int, *, moved=(0.0, 0.0, 0.0), status="ok", points=POINTS
 ) -> PlacedPair:
     """The true pose of two images; moved: by how much what image 2 shows is another place."""
-    points1, _ = _seen(points, first)
-    points2, _ = _seen(points + moved, second)
-    inside = [((p > 0) & (np.array(SIZE) > p)).all(1) for p in (points1, points2)]
-    kept = inside[0] & inside[1]
     R = TURNS[second] @ TURNS[first].T
     t = TURNS[second] @ (CENTRES[first] + moved - CENTRES[second])
-    row = true_row((str(first), str(second)), R, t, status, int(kept.sum()))
-    matches = Matches(points1[kept], points2[kept], np.ones(kept.sum()), error_px=0.5)
-    return PlacedPair.of(MatchedPair(row, matches), (first, second), (camera(), camera()))
+    seen = (points - CENTRES[first]) @ TURNS[first].T
+    scene = two_views(seen, (camera(), camera()), (R, t), np.random.default_rng(0))
+    row = pair_row((str(first), str(second)), status, R, t, count=len(scene.true))
+    return PlacedPair.of(MatchedPair(row, scene.matches), (first, second), scene.cameras)
 
 
 def test_right_poses_agree_whatever_the_order_of_their_images():
@@ -161,14 +151,14 @@ def test_few_pairs_do_not_make_a_folder_one_with_repeats():
     assert alone[1] < -1 and solved[1][1] < 0 and not has_repeats(solved, values)
 
 
-def _matched(names: str, probability: float, status="ok", *, index=0, R=None) -> MatchedPair:
+def _matched(names: str, probability: float, status="ok", *, index=0, R=EYE) -> MatchedPair:
     """A pair of 100 matches. probability: of a pose of a rotation_only pair that is not claimed."""
     points = np.random.default_rng(0).uniform(10, 170, (100, 2))
     matches = Matches(points, points + (5.0, 0.0), np.ones(100), error_px=0.5)
-    row = true_row((names[0], names[1]), np.eye(3) if R is None else R, np.eye(3)[0], status)
     own = 0.0 if status == "rotation_only" else probability
-    pose = replace(row.pose, probability=own, any_probability=probability)
-    return MatchedPair(replace(row, pose=pose, index=index), matches)
+    known = {"probability": own, "any_probability": probability}
+    row = pair_row(names, status, R, (1, 0, 0), count=100, **known)
+    return MatchedPair(replace(row, index=index), matches)
 
 
 PLAN = SimpleNamespace(names="abcd", final_cameras=dict.fromkeys("abcd", camera()))

@@ -1,11 +1,12 @@
 """Masks of the photographs of a batch, and of what is made of it."""
 
+import shutil
 from itertools import combinations
 
 import cv2
 import numpy as np
 import pytest
-from batch_runs import run_sift, view_folder, write_masks
+from batch_runs import run_sift, write_masks
 from command_line import assert_refused, run
 from worlds import SIZE, K_text
 
@@ -16,9 +17,9 @@ NAMES = [f"sub/view{i}.png" for i in range(3)]
 
 
 @pytest.fixture
-def photos(tmp_path):
+def photos(views, tmp_path):
     """Three views in a folder within the folder."""
-    view_folder(tmp_path / "photos" / "sub", 3)
+    (shutil.copytree(views, tmp_path / "photos" / "sub") / "view3.png").unlink()
     return tmp_path / "photos"
 
 

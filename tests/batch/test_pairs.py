@@ -30,7 +30,7 @@ def test_a_row_comes_back(row):
 @pytest.mark.parametrize(
     "changed", [{"name1": None}, {"status": "fine"}, {"alternatives": [{}]}, {"warnings": 3}]
 )
-def test_what_is_no_row_is_refused(changed):
+def test_json_of_no_row_is_refused(changed):
     data = json.loads(AMBIGUOUS.to_json()) | changed
     data = {key: value for key, value in data.items() if value is not None}
     with pytest.raises(InputError, match="^rows cannot be read as a row of a batch"):

@@ -3,6 +3,7 @@
 import os
 import shutil
 from dataclasses import replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -16,14 +17,8 @@ from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matching.key_points import SiftMatcher
 
-COUNT, PAIRS = 4, 6
+COUNT = 4
 LAST = f"view{COUNT - 1}.png"
-
-
-@pytest.fixture(scope="module")
-def whole(views, tmp_path_factory):
-    """An uninterrupted batch."""
-    return run_sift(views, tmp_path_factory.mktemp("whole") / "out").folder
 
 
 @pytest.fixture
@@ -57,7 +52,7 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_what_differs_is_refused_with_the_command_and_nothing_changes(
+def test_a_difference_is_refused_with_the_command_and_nothing_changes(
     photos, tmp_path, change, monkeypatch
 ):
     monkeypatch.setattr("sys.argv", ["dgc-pose", "batch", "my photos"])
@@ -81,15 +76,17 @@ def test_killed_and_resumed_gives_the_same(views, tmp_path, monkeypatch):
     moved = "dgc_pose.batch.folder_cameras.centre_moved"
     monkeypatch.setattr(moved, lambda before, after: True)
     out, whole = tmp_path / "out", tmp_path / "whole"
-    run_sift(views, whole, K="auto")
-    for after in (2, PAIRS - 2 + 1, PAIRS + 2):
+    chain = partial(run_sift, views, K="auto", pairs="sequential:1")  # three pairs
+    chain(whole)
+    # Of two matches; the third and a fit; two fits and an estimate.
+    for tasks in (2, 2, 3):
         with pytest.raises(Killed):
-            run_sift(views, out, K="auto", start_workers=killed_after(after), resume=out.exists())
+            chain(out, start_workers=killed_after(tasks), resume=out.exists())
         with pytest.raises(InputError, match="unfinished"):
             read_batch(out)
-    run_sift(views, out, K="auto", resume=True)
+    chain(out, resume=True)
     assert_same_result(out, whole)
-    again = run_sift(views, out, K="auto", resume=True, start_workers=killed_after(0))
+    again = chain(out, resume=True, start_workers=killed_after(0))
     assert again.plan.pooled is not None
 
 
@@ -134,12 +131,12 @@ def test_a_mask_that_changed_is_matched_again(photos, tmp_path):
     """The pairs of its photograph are; so are those of a photograph that gets a mask."""
     out, other, masks = tmp_path / "out", tmp_path / "other", tmp_path / "masks"
     write_masks(masks, ["view0.png"])
-    run_sift(photos, out, masks=masks)
-    for name, share in (("view0.png", 0.3), ("view1.png", 0.5)):
+    chain = partial(run_sift, photos, masks=masks, pairs="sequential:1")
+    chain(out)
+    for name, share, pairs in (("view0.png", 0.3, 1), ("view1.png", 0.5, 2)):
         write_masks(masks, [name], share)
-        batch = run_sift(photos, out, masks=masks, resume=True)
-        assert batch.summary["matched_now"] == COUNT - 1
-    run_sift(photos, other, masks=masks)
+        assert chain(out, resume=True).summary["matched_now"] == pairs
+    chain(other)
     assert_same_result(out, other)
 
 

@@ -1,6 +1,8 @@
 """Batches: results, bad images, resuming after a kill, and unusable input."""
 
 import math
+import os
+import shutil
 import sqlite3
 from contextlib import closing
 from dataclasses import replace
@@ -10,50 +12,38 @@ import numpy as np
 import pycolmap
 import pytest
 from bad_pictures import BAD_PICTURES, MISSING, write_bad_pictures
-from batch_runs import run_sift, view_folder
-from results import ambiguous_pose
+from batch_runs import run_sift
+from results import ambiguous_pose, exif_camera, pair_row
 from worlds import K, K_text
 
-from dgc_pose.batch.pairs import MatchedPair, PairRow
+from dgc_pose.batch.pairs import MatchedPair
 from dgc_pose.batch.result import Batch, group_name, read_batch, summary_of, write_cameras
 from dgc_pose.batch.run import _with_folder_checks
 from dgc_pose.cameras.calibration import read_calibration
-from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.colmap.database import pair_geometries
 from dgc_pose.errors import InputError
-from dgc_pose.estimation import RelativePose, estimate_pose
+from dgc_pose.estimation import estimate_pose
 
-BROKEN = "broken.png"
-COUNT = 4  # images, one of them broken
-VIEWS = 4  # of `views`
+COUNT = 4  # images
+BROKEN = "view3.png"
 FOCAL = float(K[0, 0] + K[1, 1]) / 2
-AUTO = Camera(
-    np.array([[110.0, 0, 49.5], [0, 110, 39.5], [0, 0, 1]]),
-    (100, 80),
-    focal_std=0.4,
-    centre_std=5.0,
-    lens_std=0.1,
-    focal_source="exif",
-    identity="x",
-)
 
 
 @pytest.fixture(scope="module")
-def photos(tmp_path_factory):
-    """Four views and an image that is cut short."""
+def photos(views, tmp_path_factory):
+    """Three views and an image that is cut short."""
     folder = tmp_path_factory.mktemp("photos")
-    views = view_folder(folder, COUNT - 1)
-    whole = (folder / "view0.png").read_bytes()
-    (folder / BROKEN).write_bytes(whole[: len(whole) // 2])
-    return folder, views
+    shutil.copytree(views, folder, dirs_exist_ok=True)
+    os.truncate(folder / BROKEN, (folder / BROKEN).stat().st_size // 2)
+    return folder
 
 
 @pytest.fixture(scope="module")
 def whole(photos, tmp_path_factory):
     """An uninterrupted batch over all pairs."""
     out = tmp_path_factory.mktemp("whole") / "out"
-    run_sift(photos[0], out)
+    run_sift(photos, out)
     return out
 
 
@@ -71,7 +61,7 @@ def test_bad_images_of_a_list_are_named_and_the_others_matched(photos, tmp_path)
     """Each is in the summary and in its row, with the reason; a K of the right size is enough."""
     bad = write_bad_pictures(tmp_path / "bad")
     for name in ("view0.png", "view1.png"):
-        (tmp_path / name).write_bytes((photos[0] / name).read_bytes())
+        (tmp_path / name).write_bytes((photos / name).read_bytes())
     lines = [f"view0.png bad/{path.name}" for path in bad]
     (tmp_path / "list.txt").write_text("\n".join([*lines, "view0.png view1.png"]))
     batch = run_sift(tmp_path / "list.txt", tmp_path / "out", pairs=None)
@@ -88,7 +78,7 @@ def test_bad_images_of_a_folder_are_named(photos, tmp_path):
     folder = tmp_path / "folder"
     write_bad_pictures(folder)
     for name in ("view0.png", "view1.png"):
-        (folder / name).write_bytes((photos[0] / name).read_bytes())
+        (folder / name).write_bytes((photos / name).read_bytes())
     batch = run_sift(folder, tmp_path / "out")
     bad = batch.summary["bad_images"]
     assert {*bad} == {*BAD_PICTURES} - {MISSING}
@@ -120,7 +110,7 @@ def test_an_ambiguous_pair_is_counted_and_has_no_geometry(photos, tmp_path, monk
         return ambiguous_pose(len(matches))
 
     monkeypatch.setattr("dgc_pose.pose.estimate_pose", some_ambiguous)
-    batch = run_sift(photos[0], tmp_path / "out")
+    batch = run_sift(photos, tmp_path / "out")
     (ambiguous,) = (row for row in batch.rows if row.status == "ambiguous")
     assert ambiguous.pose is not None and len(ambiguous.pose.alternatives) == 2
     assert batch.summary["by_status"] == {"ambiguous": 1, "bad_input": 3, "ok": 2}
@@ -179,7 +169,7 @@ def test_a_database_and_a_list_as_source(photos, whole, tmp_path):
     with closing(sqlite3.connect(database)) as connection:
         connection.execute("PRAGMA user_version = 3800")  # of COLMAP 3.8: an opening changes it
     before = database.read_bytes()
-    rows = run_sift(database, tmp_path / "out", pairs=None, K=None, root=photos[0]).rows
+    rows = run_sift(database, tmp_path / "out", pairs=None, K=None, root=photos).rows
     names = [("view0.png", "view1.png"), ("view1.png", "view2.png")]
     assert [row.names for row in rows] == names and database.read_bytes() == before
     by_names = {row.names: row.pose for row in read_batch(whole).rows}
@@ -193,26 +183,19 @@ def test_unusable_input(photos, whole, tmp_path):
     database.write_bytes(b"SQLite format 3\0" + b"\0" * 200)
     alike = tmp_path / "alike.txt"
     alike.write_text("a/view.png a-view.png\na/view.png view1.png\n")
-    (tmp_path / "view1.png").write_bytes((photos[0] / "view1.png").read_bytes())
+    (tmp_path / "view1.png").write_bytes((photos / "view1.png").read_bytes())
     for source, out, reason in (
         (tmp_path / "none", "out", "is not a folder, video"),
         (database, "out", "cannot be read as a COLMAP database"),
         (alike, "out", "^a-view.png view1.png and a/view.png view1.png have one name in matches"),
-        (photos[0], str(whole), "has a batch already"),
-        (photos[0], str(tmp_path), "not a batch folder of this version"),
+        (photos, str(whole), "has a batch already"),
+        (photos, str(tmp_path), "not a batch folder of this version"),
     ):
         with pytest.raises(InputError, match=reason):
             run_sift(source, tmp_path / out)
     with pytest.raises(InputError, match="sift cannot choose pairs"):
-        run_sift(photos[0], tmp_path / "out", pairs="auto:2")
+        run_sift(photos, tmp_path / "out", pairs="auto:2")
     assert not (tmp_path / "out").exists()
-
-
-def _row(first, second, status="ok", inliers=9):
-    posed = {"R": np.eye(3), "t": np.array([0.0, 0, 1])} if status == "ok" else {}
-    kept = np.arange(10) < inliers
-    pose = RelativePose(status, "", kept, 10, **posed)
-    return PairRow(first, second, status, "", pose)
 
 
 def _judged(alone, rows):
@@ -222,27 +205,35 @@ def _judged(alone, rows):
 def test_a_photograph_that_most_pairs_show_as_mirrored_has_no_pose_with_others():
     """m: mirrored in two pairs of three. The others have more poses."""
     alone = [
-        _row("a", "m", "mirrored", 0),
-        _row("b", "m", "mirrored", 0),
-        _row("c", "m"),
-        *(_row(*pair) for pair in ("ab", "ac", "bc")),
+        pair_row("am", "mirrored"),
+        pair_row("bm", "mirrored"),
+        pair_row("cm"),
+        *(pair_row(pair) for pair in ("ab", "ac", "bc")),
     ]
     results = _judged(alone, alone)
     assert [row.status for row in results] == ["mirrored"] * 3 + ["ok"] * 3
     told = results[2]
     assert told.pose is not None and told.pose.R is None and "m" in told.reason
-    assert (told.num_matches, told.num_inliers, results[3].num_inliers) == (10, 0, 9)
+    assert (told.num_matches, told.num_inliers, results[3].num_inliers) == (9, 0, 9)
 
 
 def test_photographs_that_are_all_mirrored_keep_the_poses_between_them():
-    rows = [_row("a", "c", "mirrored", 0), _row("a", "d", "mirrored", 0), _row("c", "d")]
-    rows += [_row("b", "c", "mirrored", 0), _row("b", "d", "mirrored", 0), _row("a", "b")]
+    rows = [
+        pair_row("ac", "mirrored"),
+        pair_row("ad", "mirrored"),
+        pair_row("cd"),
+    ]
+    rows += [
+        pair_row("bc", "mirrored"),
+        pair_row("bd", "mirrored"),
+        pair_row("ab"),
+    ]
     assert _judged(rows, rows) == rows
 
 
 def test_inliers_that_the_cameras_of_the_folder_lose_are_told():
-    alone = [_row("a", "b"), _row("b", "c"), _row("c", "d", "improbable")]
-    rows = [_row("a", "b", inliers=4), _row("b", "c", inliers=5), _row("c", "d", inliers=1)]
+    alone = [pair_row("ab"), pair_row("bc"), pair_row("cd", "improbable", inliers=9)]
+    rows = [pair_row("ab", inliers=4), pair_row("bc", inliers=5), pair_row("cd", inliers=1)]
     lost, kept, refused = _judged(alone, rows)
     assert lost.pose is not None
     assert lost.pose.warnings == ("only 4 of 9 inliers remain with the folder's cameras",)
@@ -250,11 +241,12 @@ def test_inliers_that_the_cameras_of_the_folder_lose_are_told():
 
 
 def test_the_cameras_are_read_back(tmp_path):
+    camera = exif_camera()
     lens = Distortion("OPENCV", (-0.3, 0.1, 1e-3, 0.0))
     cameras = {
-        'a "1", 2.png': AUTO,
-        "b/c.png": replace(AUTO, identity=None, focal_std=1 / 3),
-        "d.png": replace(AUTO, distortion=lens, lens_std=0.0),
+        'a "1", 2.png': camera,
+        "b/c.png": replace(camera, identity=None, focal_std=1 / 3),
+        "d.png": replace(camera, distortion=lens, lens_std=0.0),
     }
     write_cameras(tmp_path, cameras)
     again = read_calibration(str(tmp_path / "cameras.csv")).by_name
@@ -265,15 +257,10 @@ def test_the_cameras_are_read_back(tmp_path):
         assert vars(again[name]) | same == vars(camera) | same
 
 
-@pytest.fixture(scope="module")
-def unknown(views, tmp_path_factory):
-    return run_sift(views, tmp_path_factory.mktemp("unknown") / "out", K="auto").folder
-
-
-def test_a_folder_has_one_camera(unknown):
-    batch = read_batch(unknown)
+def test_a_folder_has_one_camera(views, tmp_path):
+    batch = read_batch(run_sift(views, tmp_path / "out", K="auto").folder)
     (camera,) = batch.summary["cameras"]
-    assert (camera["images"], camera["pairs"]) == (VIEWS, VIEWS * (VIEWS - 1) // 2)
+    assert (camera["images"], camera["pairs"]) == (COUNT, COUNT * (COUNT - 1) // 2)
     assert camera["focal_px"] == pytest.approx(FOCAL, rel=0.01)
     assert 0.002 < camera["focal_std"] < 0.025 and camera["focal_source"] == "matches"
     for name, final in batch.plan.final_cameras.items():
@@ -283,5 +270,5 @@ def test_a_folder_has_one_camera(unknown):
         assert final.focal_std < before.focal_std
         assert abs(math.log(before.focal / FOCAL)) < 3 * before.focal_std
     for row in batch.rows:
-        for of_pose in (row.pose.camera1, row.pose.camera2):
-            assert (of_pose.focal, of_pose.focal_std) == (camera["focal_px"], camera["focal_std"])
+        for used in (row.pose.camera1, row.pose.camera2):
+            assert (used.focal, used.focal_std) == (camera["focal_px"], camera["focal_std"])

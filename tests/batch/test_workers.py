@@ -12,7 +12,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from batch_runs import assert_same_result, run_sift, view_folder
+from batch_runs import assert_same_result, run_sift
 from worlds import SIZE, K
 
 from dgc_pose.batch.options import BatchOptions
@@ -37,7 +37,7 @@ from dgc_pose.pose import solve_pair
 
 COUNT = 3
 NAMES = tuple(f"view{i}.png" for i in range(COUNT))
-PAIRS = tuple(enumerate(combinations(NAMES, 2)))
+PAIRS = tuple(enumerate(combinations(NAMES, 2)))[:2]
 ESTIMATION = EstimationOptions(runs=1, iterations=300)
 CAMERA = Camera(K, SIZE)
 IMAGE_BYTES = 3 * SIZE[0] * SIZE[1] + FEATURE_BYTES
@@ -50,34 +50,31 @@ def _worker(photos, memory_bytes):
     return worker, worker.match(PAIRS)
 
 
-def test_a_pair_is_matched_as_alone_and_an_image_is_encoded_once(tmp_path, monkeypatch):
+def test_a_pair_is_matched_as_alone_and_an_image_is_encoded_once(views, monkeypatch):
     """To the bit, with memory for all images and for hardly one, and matches that are searched
     again as of a pose in doubt."""
     monkeypatch.setattr("dgc_pose.pose.in_doubt", lambda *arguments: True)
-    view_folder(tmp_path, COUNT)
-    ample, matched = _worker(tmp_path, COUNT * IMAGE_BYTES)
+    ample, matched = _worker(views, COUNT * IMAGE_BYTES)
     # Of the map and of native resolution, its texture, and squeezed along either axis.
     assert ample.cache.made == 5 * COUNT
-    scarce, again = _worker(tmp_path, IMAGE_BYTES)
+    scarce, again = _worker(views, IMAGE_BYTES)
     assert scarce.cache.made > 5 * COUNT
     assert all(pair.row.success for pair in matched)
+    images = [load_image(views / name) for name in PAIRS[0][1]]
     matcher = load_matcher()
-    first = matcher.match(*(load_image(tmp_path / name) for name in PAIRS[0][1]))
-    assert len(first.matches) < len(matched[0].matches)
-    for k, names in PAIRS:
-        images = (load_image(tmp_path / name) for name in names)
-        alone = solve_pair(*images, (CAMERA, CAMERA), matcher, ESTIMATION)
-        row = row_of(names, alone.pose, alone.matches.error_px)
-        for pair in (matched[k], again[k]):
-            assert pair.row.to_json() == row.to_json()
-            np.testing.assert_array_equal(pair.matches.points1, alone.matches.points1)
+    assert len(matcher.match(*images).matches) < len(matched[0].matches)
+    alone = solve_pair(*images, (CAMERA, CAMERA), matcher, ESTIMATION)
+    row = row_of(PAIRS[0][1], alone.pose, alone.matches.error_px)
+    assert matched[0].row.to_json() == row.to_json()
+    for pair, other in zip(matched, [MatchedPair(row, alone.matches), *again[1:]], strict=True):
+        assert pair.row.to_json() == other.row.to_json()
+        np.testing.assert_array_equal(pair.matches.points1, other.matches.points1)
 
 
-def test_a_pose_that_is_estimated_again_has_its_probability(tmp_path):
+def test_a_pose_that_is_estimated_again_has_its_probability(views):
     """What is stored of a pair does not state the network that matched it, the job does."""
-    view_folder(tmp_path, COUNT)
     camera = replace(CAMERA, focal_std=0.05)
-    job = Job(tmp_path, {n: camera for n in NAMES}, {}, MatcherOptions(), ESTIMATION, 2**30)
+    job = Job(views, dict.fromkeys(NAMES, camera), {}, MatcherOptions(), ESTIMATION, 2**30)
     worker = Worker(job)
     matched = worker.match(PAIRS[:1])
     (before,), (after,) = matched, worker.estimate(matched, job.cameras, fit_cameras=True)
@@ -153,7 +150,7 @@ def test_what_a_worker_raises_is_raised_here(views, monkeypatch):
 
 
 def test_on_ray_the_result_is_the_same_and_an_actor_that_ends_ends_the_batch(
-    views, tmp_path, monkeypatch
+    views, whole, tmp_path, monkeypatch
 ):
     """The batch resumes after that. A cluster that was there before stays."""
     ray = pytest.importorskip("ray")
@@ -170,7 +167,6 @@ def test_on_ray_the_result_is_the_same_and_an_actor_that_ends_ends_the_batch(
             self.done = 1
             return self.worker.do(*task)
 
-    run_sift(views, tmp_path / "local", workers=2)
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
     try:
         out = tmp_path / "ray"
@@ -179,13 +175,13 @@ def test_on_ray_the_result_is_the_same_and_an_actor_that_ends_ends_the_batch(
             run_sift(views, out, workers=2, start_workers=ray_workers)
         batch = run_sift(views, out, workers=2, start_workers=ray_workers, resume=True)
         assert 0 < batch.summary["matched_now"] < 6
-        assert_same_result(tmp_path / "local", out)
+        assert_same_result(whole, out)
         assert ray.is_initialized()
     finally:
         ray.shutdown()
 
 
-def test_the_engine_starts_the_workers_and_ray_is_asked_for(views, tmp_path, monkeypatch):
+def test_the_engine_starts_the_workers_and_ray_is_asked_for(views, whole, tmp_path, monkeypatch):
     """Without Ray too: nothing is written where it is missing."""
     started = []
 
@@ -198,9 +194,10 @@ def test_the_engine_starts_the_workers_and_ray_is_asked_for(views, tmp_path, mon
     with monkeypatch.context() as patch:
         patch.setattr("dgc_pose.batch.run.ray_workers", start)
         run_sift(views, tmp_path / "ray", engine="ray", workers=3)
-        run_sift(views, tmp_path / "local", engine="local")
+        run_sift(views, tmp_path / "local", engine="local", workers=2)
     assert started == [3]
-    assert_same_result(tmp_path / "ray", tmp_path / "local")
+    for folder in ("ray", "local"):
+        assert_same_result(tmp_path / folder, whole)
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(DgcPoseError, match="ray"):
         run_sift(views, tmp_path / "none", engine="ray")

@@ -31,7 +31,7 @@ def _plane(size: tuple[int, int], width: float, height: float) -> tuple[np.ndarr
     ("sizes", "plane"),
     [
         (((100, 160), (200, 160)), (200, 160)),
-        (((1280, 1024), (960, 768)), (640, 512)),
+        (((960, 768), (800, 640)), (640, 512)),
     ],
 )
 def test_the_map_leads_from_image_2_into_image_1(sizes, plane) -> None:

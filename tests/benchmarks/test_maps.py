@@ -59,21 +59,18 @@ def test_the_map_takes_a_pixel_through_both_resizes_and_the_inverse_up_to_the_ho
 
 def test_the_source_at_the_map_is_the_target(tmp_path) -> None:
     scene.write_annotated(tmp_path, "wall")
-    (pair,) = find_homography_pairs(tmp_path)
-    pairs = load_pair(pair)
+    pairs = load_pair(*find_homography_pairs(tmp_path))
     assert pairs.image1.shape == pairs.image2.shape == (1, 3, 240, 240)
     normalised = (2 * pairs.map + 1) / 240 - 1
     warped = F.grid_sample(pairs.image1, normalised, align_corners=False)
     valid = pairs.valid[:, None].expand(-1, 3, -1, -1)
     assert 0.3 < pairs.valid.float().mean() < 0.95
-    difference = (warped - pairs.image2)[valid].abs()
-    assert difference.mean() < 0.01
+    assert (warped - pairs.image2)[valid].abs().mean() < 0.01
     # The picture itself varies much more than that.
     assert (pairs.image1 - pairs.image2)[valid].abs().mean() > 0.1
     # RGB, not BGR: as the file has it.
     first = cv2.resize(scene.texture(), (240, 240), interpolation=cv2.INTER_AREA)[..., ::-1]
-    expected = torch.from_numpy(first.copy()).permute(2, 0, 1) / 255
-    assert (pairs.image1[0] - expected).abs().mean() < 0.01
+    assert np.abs(pairs.image1[0].numpy() - np.moveaxis(first, 2, 0) / 255).mean() < 0.01
 
 
 def test_pairs_of_every_layout_are_found_if_their_files_are_there(tmp_path) -> None:
@@ -160,41 +157,38 @@ def distances_of(pair: Comparison) -> dict[tuple[int, int], float]:
     return {(y, x): float(errors[y, x]) for y, x in np.argwhere(valid).tolist()}
 
 
-def test_a_pairs_figures_are_those_of_its_valid_pixels_and_of_both_meanings_of_the_mask() -> None:
+def test_figures_of_pairs_and_their_means_over_a_group() -> None:
+    """Errors of valid pixels, both meanings of the mask, means over pairs and curves over pixels. A
+    pair with nothing to find has no error and takes no part."""
     truth, points = np.zeros((1, 2, 2)), np.array([[[3.0, -4.0], [1.0, 1.0]]])
     errors, _ = level_errors(points, truth, np.array([[True, False]]))
     assert errors.tolist() == [[5.0, math.inf]]
-    pair = comparison(0)
-    found, near, matchability = score_map("net", "I", "wall", pair), distances_of(pair), pair[1]
-    distances = [*near.values()]
-    assert found.valid == len(distances) > 50
-    assert found.means["aepe"] == found.means["aepe240"] == pytest.approx(np.mean(distances))
-    limits = [*PCK_THRESHOLDS, 1, 3, 5]
-    assert found.near.tolist() == [sum(d <= limit for d in distances) for limit in limits]
-    said = {(y, x) for y, x in np.ndindex(12, 12) if matchability[y, x] > 0.5}
-    visible, good = {*near}, {place for place, distance in near.items() if distance < 4}
-    assert found.means["jaccard"] == pytest.approx(len(said & visible) / len(said | visible))
-    assert found.means["jaccard_found"] == pytest.approx(len(said & good) / len(said | good))
-    assert found.means["jaccard"] != found.means["jaccard_found"]
-    # A match is right within 3 px, and wrong where there is nothing.
-    assert found.reliability is not None and found.reliability[0].sum() == 144
-    assert found.reliability[1].sum() == sum(d <= 3 for d in distances) > 0
-
-
-def test_a_group_has_means_over_pairs_and_curves_over_pixels() -> None:
-    """A pair with nothing to find has no error and takes no part."""
     pairs = [comparison(0), comparison(1), comparison(2, blind=True)]
     own = [score_map("net", "I", str(index), pair) for index, pair in enumerate(pairs)]
-    found = pooled(own, "I")
-    assert (found.method, found.group, found.pairs) == ("net", "I", 3)
+    limits = [*PCK_THRESHOLDS, 1, 3, 5]
+    for found, pair in zip(own[:2], pairs, strict=False):
+        near, matchability = distances_of(pair), pair[1]
+        distances = [*near.values()]
+        assert found.valid == len(distances) > 50
+        assert found.means["aepe"] == found.means["aepe240"] == pytest.approx(np.mean(distances))
+        assert found.near.tolist() == [sum(d <= limit for d in distances) for limit in limits]
+        said = {(y, x) for y, x in np.ndindex(12, 12) if matchability[y, x] > 0.5}
+        good = {place for place, distance in near.items() if distance < 4}
+        for name, true in (("jaccard", {*near}), ("jaccard_found", good)):
+            assert found.means[name] == pytest.approx(len(said & true) / len(said | true))
+        assert found.means["jaccard"] != found.means["jaccard_found"]
+        # A match is right within 3 px, and wrong where there is nothing.
+        assert found.reliability is not None and found.reliability[0].sum() == 144
+        assert found.reliability[1].sum() == sum(d <= 3 for d in distances) > 0
+    group = pooled(own, "I")
+    assert (group.method, group.group, group.pairs) == ("net", "I", 3)
     assert own[2].valid == 0 and math.isnan(own[2].means["aepe"])
-    for name in ("aepe", *(f"aepe{cells}" for cells in (15, 30, 60, 120, 240))):
-        assert found.means[name] == pytest.approx(np.nanmean([s.means[name] for s in own]))
-    distances = [distance for pair in pairs for distance in distances_of(pair).values()]
-    expected = [np.mean([d <= limit for d in distances]) for limit in PCK_THRESHOLDS]
-    np.testing.assert_allclose(found.pck[:200], expected)
-    assert found.data["pck3"] == pytest.approx(np.mean([d <= 3 for d in distances]))
-    mean = np.mean([scores.means["jaccard"] for scores in own])
-    assert found.means["jaccard"] == pytest.approx(mean)
-    assert found.reliability is not None and found.reliability[0].sum() == 3 * 144
+    for name in ("aepe", "jaccard", *(f"aepe{cells}" for cells in (15, 30, 60, 120, 240))):
+        assert group.means[name] == pytest.approx(np.nanmean([s.means[name] for s in own]))
+    every = [distance for pair in pairs for distance in distances_of(pair).values()]
+    np.testing.assert_allclose(
+        group.pck[:200], [np.mean([d <= limit for d in every]) for limit in PCK_THRESHOLDS]
+    )
+    assert group.data["pck3"] == pytest.approx(np.mean([d <= 3 for d in every]))
+    assert group.reliability is not None and group.reliability[0].sum() == 3 * 144
     assert np.isnan(pooled([own[2]]).pck).all()

@@ -15,9 +15,9 @@ IMAGE = Image(np.zeros((240, 320, 3), np.uint8))
 CAMERA = Camera(dense_scene.K)
 
 
-def test_names_stand_for_methods_with_their_own_trials_of_the_cameras() -> None:
-    """Networks alone are refined, with the mask alone. A path may hold colons and equals signs."""
-    names = ["a:K=auto:shared", "C:/runs=2/b.pth/all:K=auto:two", "sift:K_scale=0.8", "dis", "raft"]
+def test_names_stand_for_methods_and_networks_alone_are_refined() -> None:
+    """A path may hold colons and equals signs."""
+    names = ["a", "C:/runs=2/b.pth/all", "sift", "dis", "raft"]
     methods = parse_methods(names, cameras=CameraTrial(k="list"), stored=["raft", "other"])
     assert [(m.matcher.weights, m.everywhere, m.matcher.matching.aligned) for m in methods] == [
         ("a", False, "auto"),
@@ -27,12 +27,7 @@ def test_names_stand_for_methods_with_their_own_trials_of_the_cameras() -> None:
         ("raft", False, "none"),
         ("other", False, "none"),
     ]
-    assert [method.cameras for method in methods] == [
-        CameraTrial(k="auto:shared"),
-        CameraTrial(k="auto:two"),
-        CameraTrial(k="list", k_scale=0.8),
-        *(3 * [CameraTrial(k="list")]),
-    ]
+    assert all(method.cameras == CameraTrial(k="list") for method in methods)
     # One that is asked for without its mask alone is not added with it.
     (method,) = parse_methods(["raft/all"], stored=["raft"])
     assert (method.name, method.matcher.weights, method.everywhere) == ("raft/all", "raft", True)
@@ -44,14 +39,18 @@ def test_names_stand_for_methods_with_their_own_trials_of_the_cameras() -> None:
         ([], [], "no methods"),
         (["dis", "sift", "dis"], [], "'dis' is named twice"),
         (["sift/all"], [], "no dense map"),
-        (["net:K=auto:three"], [], "net:K=auto:three: k must be"),
-        (["net:K_scale=much"], [], "could not convert"),
-        (["net:K=auto:K_scale=2"], [], "cannot be scaled"),
     ],
 )
 def test_names_that_stand_for_none(names, stored, reason) -> None:
     with pytest.raises(InputError, match=reason):
         parse_methods(names, stored=stored)
+
+
+def test_a_K_that_is_withheld_cannot_be_scaled() -> None:
+    with pytest.raises(InputError, match="cannot be scaled"):
+        CameraTrial(k="auto", k_scale=2.0)
+    with pytest.raises(InputError, match="k must be"):
+        CameraTrial(k="auto:three")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -67,7 +66,7 @@ def test_a_K_that_is_withheld_is_that_of_the_images(k, sharing) -> None:
 
 
 def test_a_network_is_read_once_for_all_methods() -> None:
-    names = ["dgcm-lite0", "mine", "dgcm-lite0:K=auto", "dis/all"]
+    names = ["dgcm-lite0", "mine", "dgcm-lite0/all", "dis/all"]
     methods = parse_methods(names, stored=["mine"])
     network, stored, other, dis = load_matchers(methods, device="cpu", stored={"mine": {}})
     assert other.engine is network.engine is not None and other is not network

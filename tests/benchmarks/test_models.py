@@ -130,7 +130,7 @@ def test_the_command_scores_reconstructions(
     scene: tuple[Path, Path, list[View]], tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
-    options = ("--methods", "sift,colmap-sift", "--workers", 1, "--runs", 1)
+    options = ("--methods", "sift,colmap-sift", "--workers", 1, "--runs", 1, "--iterations", 300)
     done = run("bench-model", scene[1], "--images", scene[0], "--out", out, *options)
     assert done.exit_code == 0, done.output
     summary = json.loads((out / "summary.json").read_text())["methods"]
@@ -145,7 +145,7 @@ def test_the_command_scores_reconstructions(
 def posed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[View]]:
     """A folder of posed RGB-D images whose depths are unknown."""
     folder = tmp_path_factory.mktemp("rgbd")
-    views = render_views(5, step=0.5)
+    views = render_views(3, step=0.5)
     write_views(folder / "images", views)
     (folder / "depth").mkdir()
     for i in range(len(views)):
@@ -177,11 +177,11 @@ def test_a_report_counts_what_is_within_bounds() -> None:
 
 
 def test_the_command_scores_views(posed: tuple[Path, list[View]], tmp_path: Path) -> None:
-    fast = ("--effort", "fast", "--runs", "2", "--iterations", "200", "--count", "2")
+    fast = ("--effort", "fast", "--runs", "2", "--iterations", "200", "--count", 1)
     result = run("bench-model", posed[0], "--locate", *fast, "--out", tmp_path / "run")
     assert result.exit_code == 0, result.output
     (network,) = json.loads((tmp_path / "run/summary.json").read_text())["methods"]
-    assert [score["name"] for score in network["queries"]] == ["view0.png", "view4.png"]
+    assert [score["name"] for score in network["queries"]] == ["view0.png"]
     assert "located" in result.stdout and "right of those at 0.5 or more" in result.stdout
     other = tmp_path / "other"
     other.mkdir()

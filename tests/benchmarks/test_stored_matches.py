@@ -156,7 +156,7 @@ def test_each_pair_needs_one_file(tmp_path) -> None:
         pair_files(tmp_path, [first])
 
 
-def test_matchability_is_taken(tmp_path) -> None:
+def test_matchability_of_a_file_is_kept(tmp_path) -> None:
     values = np.random.default_rng(0).random((60, 80)).astype(np.float32)
     np.savez(tmp_path / f"{STEM}.npz", flow=_flow(), matchability=values)
     assert np.array_equal(_map(tmp_path, STORED).matchability, values)

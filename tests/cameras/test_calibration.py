@@ -93,7 +93,7 @@ def _images(*sizes: tuple[int, int]) -> list[Image]:
     return [Image(np.zeros((height, width, 3), np.uint8)) for width, height in sizes]
 
 
-def test_which_images_share_a_camera_without_K() -> None:
+def test_images_without_K_share_a_camera_by_their_size_or_as_told() -> None:
     images = _images(SIZE, SIZE, (320, 200))
     for word, expected in (
         ("auto", [True, False]),
@@ -198,7 +198,7 @@ def test_a_K_that_was_given_is_turned_unless_it_is_of_the_upright_image(
 
 @pytest.mark.parametrize("orientation", range(1, 9))
 def test_a_point_projects_to_the_pixel_that_is_turned(orientation: int) -> None:
-    """Of both signs of the tangential coefficients, by the turn of the pixels themselves."""
+    """With tangential coefficients of both signs, by the turn of the pixels themselves."""
     K = np.array([[440.0, 0, 310.0], [0, 450, 250], [0, 0, 1]])
     stored = Camera(K, SIZE, LENS)
     numbers = np.arange(SIZE[0] * SIZE[1]).reshape(SIZE[::-1])

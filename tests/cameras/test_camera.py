@@ -1,8 +1,6 @@
 """Cameras: the matrix, what is refused, resizing, points without an inverse, checks of K; lenses
 against pycolmap's."""
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pycolmap
@@ -69,7 +67,7 @@ def test_a_pair_takes_pycolmaps_cameras() -> None:
 
 
 def test_a_field_of_view_is_that_of_the_upright_image() -> None:
-    """Of the rays through the left and the right edge, half a pixel beyond the outer centres."""
+    """Between the rays through the left and right edges, half a pixel beyond the outer centres."""
     images = [
         Image(np.zeros((size[1], size[0], 3), np.uint8), exif=Exif(orientation=n))
         for size, n in ((SIZE, 1), (SIZE[::-1], 6), (SIZE, 3))
@@ -87,7 +85,7 @@ def test_a_field_of_view_is_that_of_the_upright_image() -> None:
         pair_cameras(None, None, *images, fov="wide")  # type: ignore[arg-type]
 
 
-def test_what_is_no_K_is_refused_in_one_line_that_names_the_argument() -> None:
+def test_an_unusable_K_is_refused_in_one_line_that_names_the_argument() -> None:
     for value, message in (
         (K[:2], "shape"),
         (np.block([[K, np.ones((3, 1))], [0, 0, 0, 1]]), "shape"),
@@ -127,47 +125,7 @@ def test_resized_follows_a_spot_in_a_resized_image() -> None:
     assert (small.K[0, 0], small.size) == (25, (20, 16))
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "error"),
-    [
-        ("K.txt", b"1 2 3\n4 5 6\n", "K.txt: K has 6 numbers, not fx fy cx cy and no 3x3 matrix"),
-        ("K.txt", b"one two three", "other file of cameras (it begins with 'one two three')"),
-        ("K.txt", bytes(range(256)), "K.txt is not UTF-8 text; expected a file of cameras"),
-        ("K.NPY", b"1 0 0\n0 1 0\n0 0 1\n", "K.NPY cannot be read as an .npy"),
-        (
-            "cameras.txt",
-            b"# none\n1 PINHOLE 9\n",
-            "cameras.txt has a line that is not a camera: ",
-        ),
-        (
-            "cameras.txt",
-            b"1 PINHOLE 640 480 500 510 320 240 -1",
-            "cameras.txt has a line that is not a camera: PINHOLE takes 4 parameters",
-        ),
-        ("cameras.bin", b"xx", "cameras.bin cannot be read as COLMAP's cameras"),
-        ("c.csv", b"name,fx\na,1\n", "c.csv has no column 'fy'"),
-        ("c.csv", b"name,fx,fy,cx,cy\na,1,-1,1,1\n", "c.csv line 2: K must be upper triangular"),
-        ("c.csv", b"name,fx,fy,cx,cy\na,5,5,3,2,-0.3", "c.csv line 2: more cells than columns"),
-        ("t.json", b"{", "t.json cannot be read as a file of cameras"),
-        ("rig.toml", b"[cam_0]\nsize 640\n", "cannot be read as TOML"),
-        ("rig.toml", b".".join([b"a"] * 9999) + b" = 1", "a key of over 100 parts"),
-        ("rig.toml", b"a = " + b"[" * 9999, "cannot be read as TOML"),
-        ("rig.toml", b"a = 1", "no K and no camera of"),
-        ("c.yaml", b"a: &x [1]\nb: [*x, *x]\n", "cannot be read as YAML (it contains an alias"),
-    ],
-)
-def test_a_file_without_a_K_is_refused_with_what_it_is(
-    tmp_path: Path, name: str, content: bytes, error: str
-) -> None:
-    path = tmp_path / name
-    path.write_bytes(content)
-    with pytest.raises(InputError) as caught:
-        parse_camera(str(path), "K1")
-    assert str(caught.value).startswith(f"K1: {tmp_path}") and error in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
-def test_what_no_ray_reaches_becomes_nan_and_never_a_wrong_point() -> None:
+def test_a_pixel_that_no_ray_reaches_becomes_nan() -> None:
     fisheye = parse_camera("SIMPLE_FISHEYE,640,480,100,320,240")
     beyond = np.array([[319.5 + 100 * np.pi / 2 + 1, 239.5], [319.5 + 100, 239.5]])
     normalised = fisheye.normalise(beyond)
@@ -262,7 +220,7 @@ def test_a_cylinder_has_no_coefficients_and_the_angle_as_x() -> None:
     np.testing.assert_allclose(camera.project(normalised[:1]), pixels[:1])
 
 
-def test_what_a_lens_does_not_have_is_refused() -> None:
+def test_coefficients_and_deviations_that_a_lens_does_not_have_are_refused() -> None:
     """Another number of coefficients, and a deviation but of a lens of two coefficients."""
     for model, coefficients in (
         ("RADIAL", (0.1,)),

@@ -23,12 +23,14 @@ def _peak(lines: np.ndarray) -> float:
     return float(LOG_FOCALS[lines.argmax()])
 
 
-@pytest.mark.parametrize("focal", [0.5, 0.9, 1.3, 3.0])
-@pytest.mark.parametrize("turn_deg", [(30, 20, 3), (-35, 15, 10)])
+@pytest.mark.parametrize(
+    ("focal", "turn_deg"),
+    [(0.5, (30, 20, 3)), (0.9, (-35, 15, 10)), (1.3, (30, 20, 3)), (3.0, (-35, 15, 10))],
+)
 def test_the_likeliest_focal_length_is_that_of_the_picture(
     focal: float, turn_deg: tuple[float, float, float]
 ) -> None:
-    """And the posterior covers it: narrower than the prior for usual focal lengths, and 3 times the
+    """The posterior covers it: narrower than the prior for usual focal lengths, and 3 times the
     longer side is in its tail."""
     lines = log_likelihoods(Image(box_picture(focal, turn_deg)))
     assert abs(_peak(lines) - np.log(focal)) < 1.5 * STEP
@@ -77,7 +79,7 @@ def _scribble(seed: int, count: int) -> np.ndarray:
 
 
 def _grid(angle_deg: float) -> np.ndarray:
-    """Of a plane that the camera faces: its lines meet at infinity, whatever the focal length."""
+    """A plane that the camera faces: its lines meet at infinity, whatever the focal length."""
     angle, middle = np.radians(angle_deg), (np.array(SIZE) - 1) / 2
     u, v = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
     offsets = 90 * np.arange(-10, 11)
@@ -205,7 +207,7 @@ def test_the_likelier_part_comes_first(focal: float, usual_first: bool) -> None:
 
 
 def test_lines_of_many_images_count_by_the_root_of_their_number() -> None:
-    """Of one or two images all of them, of 8 half."""
+    """All of one or two, half of 8."""
     focal_prior, lines = FocalPrior(USUAL, TAIL, FLAT), _lines(1.1, 0.2, 1.0)
     for many, few in (
         ([lines, lines], [2 * lines]),

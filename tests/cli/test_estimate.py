@@ -1,6 +1,5 @@
 import json
 import os
-import shlex
 
 import cv2
 import dense_scene
@@ -9,7 +8,6 @@ import pytest
 from command_line import assert_refused, run
 from results import ambiguous_pose
 
-from dgc_pose.cameras.pair_list import bundled_photographs, rendered_pair
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
 KEYS = """status success R t length length_std quaternion_wxyz E camera1 camera2 num_matches
@@ -45,12 +43,13 @@ def estimate(*arguments, k=("--K", dense_scene.K_TEXT)):
 
 def test_all_outputs_are_written_and_json_has_the_pose(folder, network):
     files = ("--json", "p.json", "--matches", "m.npz", "--plot", "p.png", "--map", "map.npz")
-    result = estimate(*files)
+    result = estimate(*files, "--baseline", 3)
     assert result.exit_code == 0 and "cam2_from_cam1" in result.stdout
     assert sorted(os.listdir(folder)) == sorted([*files[1::2], "one.png", "two.png"])
     data = json.loads((folder / "p.json").read_text())
     assert list(data) == KEYS
     assert data["status"] == "ok" and data["success"] is True and data["warnings"] == []
+    assert data["length"] == pytest.approx(3)
     assert rotation_error_deg(np.array(data["R"]), dense_scene.R) < 0.05
     assert translation_error_deg(np.array(data["t"]), dense_scene.T) < 0.2
     for camera in (data["camera1"], data["camera2"]):
@@ -73,34 +72,29 @@ def test_all_outputs_are_written_and_json_has_the_pose(folder, network):
     assert picture.shape[1] == 2000 and picture.std() > 10
 
 
-def test_the_points_in_space_are_written_with_their_colours(folder, network):
-    """In metres if t has a length: where camera 2 sees them, the true map leads to camera 1's."""
-    result = estimate("--ply", "points.ply", "--baseline", 2.5)
-    assert result.exit_code == 0, result.output
-    header, data = (folder / "points.ply").read_bytes().split(b"end_header\n")
-    vertices = np.frombuffer(data, [(a, "<f4") for a in "xyz"] + [(c, "u1") for c in "rgb"])
-    assert f"element vertex {len(vertices)}\n".encode() in header and len(vertices) > 500
-    points = np.stack([vertices[axis] for axis in "xyz"], axis=1) / 2.5
-    colours = np.stack([vertices[colour] for colour in "rgb"], axis=1)
-    local = points @ dense_scene.R.T + dense_scene.T
-    pixels1, pixels2 = (
-        300 * part[:, :2] / part[:, 2:] + dense_scene.K[:2, 2] for part in (points, local)
-    )
-    assert np.abs(dense_scene.points_in_image1(pixels2) - pixels1).max() < 0.5
-    x, y = np.rint(pixels1).astype(int).T
-    same = (colours == dense_scene.pictures()[0][y, x]).all(axis=1)
-    assert same.mean() > 0.99  # but for points half-way between two pixels
-
-
-def test_t_has_a_length(folder, network):
-    """By a depth map of half the size of the image; |t| of the scene is 1."""
+def test_points_with_colours_are_in_metres_by_a_depth_map(folder, network):
+    """A depth map of half the size of the image; |t| of the scene is 1. Where camera 2 sees the
+    points, the true map leads to camera 1's."""
     np.save("depth.npy", 2.5 * dense_scene.depth_in_camera2(dense_scene.grid(160, 120)))
-    text = estimate("--depth2", "depth.npy", "--json", "p.json").stdout
+    text = estimate("--depth2", "depth.npy", "--json", "p.json", "--ply", "points.ply").stdout
     data = json.loads((folder / "p.json").read_text())
     assert data["warnings"] == [] and np.linalg.norm(data["t"]) == pytest.approx(1)
     assert data["length"] == pytest.approx(2.5, rel=0.02) and data["length_std"] < 0.25
     told = f"(translation {data['length']:.4g} m +- {data['length_std']:.2g} m)"
     assert told in text and "up to scale" not in text
+    header, content = (folder / "points.ply").read_bytes().split(b"end_header\n")
+    vertices = np.frombuffer(content, [(a, "<f4") for a in "xyz"] + [(c, "u1") for c in "rgb"])
+    assert f"element vertex {len(vertices)}\n".encode() in header and len(vertices) > 500
+    points = np.stack([vertices[axis] for axis in "xyz"], axis=1) / data["length"]
+    colours = np.stack([vertices[colour] for colour in "rgb"], axis=1)
+    moved = points @ dense_scene.R.T + dense_scene.T
+    pixels1, pixels2 = (
+        300 * part[:, :2] / part[:, 2:] + dense_scene.K[:2, 2] for part in (points, moved)
+    )
+    assert np.abs(dense_scene.points_in_image1(pixels2) - pixels1).max() < 0.5
+    x, y = np.rint(pixels1).astype(int).T
+    same = (colours == dense_scene.pictures()[0][y, x]).all(axis=1)
+    assert same.mean() > 0.99  # but for points half-way between two pixels
 
 
 def test_noise_has_no_pose(folder, network):
@@ -158,37 +152,15 @@ def test_unusable_input_is_refused(folder, monkeypatch, arguments, words):
     assert sorted(os.listdir(folder)) == ["one.png", "two.png"]
 
 
-def test_masked_pixels_are_not_matched_and_what_is_no_mask_is_refused(folder, network):
+def test_masked_pixels_are_not_matched(folder, network):
     left = np.zeros((240, 320), np.uint8)
     left[:, 150:] = 255
     cv2.imwrite("left.png", left)
     cv2.imwrite("low.png", left[::2, ::2])
-    refused = estimate("--mask2", "nowhere.png")
-    assert_refused(refused, "nowhere.png cannot be read: No such")
-    result = estimate("--mask1", "left.png", "--mask2", "low.png", "--matches", "m.npz")
-    assert result.exit_code == 0, result.output
+    estimate("--mask1", "left.png", "--mask2", "low.png", "--matches", "m.npz")
     with np.load("m.npz", allow_pickle=False) as file:
         x1, x2 = file["points1"][:, 0], file["points2"][:, 0]
     assert len(x1) > 100 and x1.min() > 149 and x2.min() > 149
-
-
-def test_demo_prints_both_pairs_with_their_commands_and_the_known_pose(tmp_path):
-    result = run("demo", "--plot", tmp_path / "p.png")
-    assert result.exit_code == 0 and (tmp_path / "p.png").stat().st_size > 10_000
-    lines = result.stdout.splitlines()
-    first, second = (shlex.split(line) for line in lines if line.startswith("dgc-pose "))
-    assert first[2:4] == [str(path) for path in bundled_photographs()]
-    rows = [
-        line.strip(" Rt[").split("]")[0].split() for line in lines if line[2:5] in ("R  ", "t  ")
-    ]
-    *_, r1, r2, r3, t, true1, true2, true3, true_t = np.array(rows, float)
-    pair = rendered_pair()
-    np.testing.assert_allclose([true1, true2, true3], pair.R, atol=1e-6)
-    assert rotation_error_deg(np.array([r1, r2, r3]), pair.R) < 0.5
-    assert translation_error_deg(t, true_t) < 2
-    for flag, camera in zip(("--K1", "--K2"), (pair.camera1, pair.camera2), strict=True):
-        fx, fy, cx, cy = map(float, second[second.index(flag) + 1].split(","))
-        assert np.array_equal(camera.K, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import numpy as np
 import pycolmap
 import pytest
 from bad_pictures import BAD_PICTURES, write_bad_pictures
-from command_line import assert_all_bad, assert_refused, contents, run
+from command_line import assert_all_bad, assert_refused, run
 from worlds import SIZE, K, K_text, View, render_views, write_views
 
 from dgc_pose.cameras.camera import Camera
@@ -20,7 +20,7 @@ from dgc_pose.images.image import load_image
 from dgc_pose.localization.location import Location
 from dgc_pose.metrics import rotation_error_deg
 
-PHOTO = 2  # of the views
+PHOTO = 1  # of the views
 FAST = ("--effort", "fast", "--runs", "2", "--iterations", "200")
 
 
@@ -28,7 +28,7 @@ FAST = ("--effort", "fast", "--runs", "2", "--iterations", "200")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[View]]:
     """A folder with images/, the poses of all but one in poses.csv, and that one as photo.png."""
     folder = tmp_path_factory.mktemp("scene")
-    views = render_views(5, step=0.5)
+    views = render_views(3, step=0.5)
     names = write_views(folder / "images", views)
     (folder / "images" / names[PHOTO]).rename(folder / "photo.png")
     lines = ["name,qw,qx,qy,qz,tx,ty,tz,fx,fy,cx,cy"]
@@ -75,13 +75,14 @@ def test_an_image_of_the_model_is_not_matched_and_another_place_is_nowhere(
     noise = np.random.default_rng(0).integers(0, 255, (24, 32, 3), dtype=np.uint8)
     other = cv2.resize(noise, (240, 180), interpolation=cv2.INTER_CUBIC)
     cv2.imwrite(str(scene[0] / "other.png"), other)
-    inside = locate(scene[0], "--K", K_text(), "--json", "-", photo="images/view1.png")
+    inside = locate(scene[0], "--K", K_text(), "--json", "-", photo="images/view2.png")
     (data,) = json.loads(inside.stdout).values()
-    assert "is in the model as view1.png, which is not matched" in data["warnings"][0]
-    assert "view1.png" not in {reference["name"] for reference in data["references"]}
+    said = "is in the model as view2.png, which is not matched"
+    assert any(said in warning for warning in data["warnings"])
+    assert "view2.png" not in {reference["name"] for reference in data["references"]}
     result = locate(scene[0], "--K", K_text(), photo="other.png")
     assert result.exit_code == 3
-    assert "nowhere, none of 4 database images has a likely pose" in result.stdout
+    assert "nowhere, none of 2 database images has a likely pose" in result.stdout
 
 
 def test_bad_queries_are_named_and_the_others_located(
@@ -113,25 +114,6 @@ def test_bad_queries_are_named_and_the_others_located(
     (line,) = on_stdout.stderr.splitlines()
     assert line.startswith(f"error: {bad[0]} cannot be decoded")
     assert not (tmp_path / "o.png").exists()
-
-
-def test_unusable_input_is_one_line(scene: tuple[Path, list[View]], tmp_path: Path) -> None:
-    folder = scene[0]
-    before = contents(folder)
-    given = ("--json", tmp_path / "o.json", "--add", tmp_path / "m")
-    for words, expected in (
-        (("--K", "500,500,320,240"), "K"),
-        (("--K", "1,2"), "--K: '1,2' is neither auto"),
-        (("--K", "auto", "--weights", "sift"), "cannot choose pairs"),
-        (("--model", tmp_path / "none"), "--model"),
-        (("--masks", tmp_path / "none"), "--masks"),
-    ):
-        assert_refused(locate(folder, *words, *given), expected)
-    inside = locate(folder, *given, "--K", K_text(), photo="images/view1.png")
-    assert_refused(inside, "--add", "has an image view1.png already")
-    several = locate(folder, folder / "photo.png", "--plot", tmp_path / "o.png")
-    assert_refused(several, "--plot", "draws a single query, not 2")
-    assert contents(tmp_path) == {} and contents(folder) == before
 
 
 def test_a_fitted_camera_is_told() -> None:

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import click
 import pytest
-from command_line import assert_refused, run
+from command_line import run
 
 import dgc_pose
 from dgc_pose.cli.process import progress_bars
@@ -19,15 +19,12 @@ from dgc_pose.errors import DgcPoseError, WeightsError
 
 
 @pytest.fixture
-def raising(monkeypatch):
-    """Makes `dgc-pose info` raise."""
+def info(monkeypatch):
+    """Runs `dgc-pose info` as a command that calls a function."""
 
-    def use(error, *arguments):
-        @click.command()
-        def info():
-            raise error
-
-        monkeypatch.setattr("dgc_pose.cli.info.info", info)
+    def use(function, *arguments):
+        command = click.command()(lambda: function())
+        monkeypatch.setattr("dgc_pose.cli.info.info", command)
         return run("info", *arguments)
 
     return use
@@ -42,47 +39,38 @@ def test_threads_wait_as_the_user_says_or_not_for_long(monkeypatch, said, expect
     assert run().exit_code == 0 and os.environ["GOMP_SPINCOUNT"] == expected
 
 
+MAIN = """
+from dgc_pose.cli.main import main
+try:
+    main({})
+except SystemExit as end:
+    assert (end.code or 0) == {}
+"""
+ROOMS = ("images.image", "matches", "metrics", "geometry", "estimation")
+MISSING = ["estimate", "nowhere.png", "nowhere.png", "--K", "1,1,1,1"]
+
+
 @pytest.mark.parametrize(
-    ("arguments", "status", "heavy"),
+    ("code", "heavy"),
     [
-        (["--help"], 0, ("torch", "cv2", "numpy")),
-        (["reconstruct", "--help"], 0, ("torch", "matplotlib", "scipy.stats", "pycolmap")),
-        (["estimate", "nowhere.png", "nowhere.png", "--K", "1,1,1,1"], 2, ("torch", "matplotlib")),
+        (
+            "import dgc_pose.errors, dgc_pose.cameras.camera",
+            ("torch", "cv2", "matplotlib", "pycolmap"),
+        ),
+        ("import " + ", ".join(f"dgc_pose.{room}" for room in ROOMS), ("torch",)),
+        (MAIN.format(["--help"], 0), ("torch", "cv2", "numpy")),
+        (
+            MAIN.format(["reconstruct", "--help"], 0),
+            ("torch", "matplotlib", "scipy.stats", "pycolmap"),
+        ),
+        (MAIN.format(MISSING, 2), ("torch", "matplotlib")),
     ],
+    ids=["ground", "rooms", "help", "reconstruct", "missing"],
 )
-def test_nothing_heavy_is_imported_before_it_is_needed(arguments, status, heavy):
-    code = (
-        "import sys\n"
-        "from dgc_pose.cli.main import main\n"
-        f"try:\n    main({arguments})\n"
-        f"except SystemExit as end:\n    assert (end.code or 0) == {status}\n"
-        f"assert not [name for name in {heavy} if name in sys.modules]"
-    )
+def test_nothing_heavy_is_imported_before_it_is_needed(code, heavy):
+    code += f"\nimport sys\nassert not [name for name in {heavy} if name in sys.modules]"
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     subprocess.run([sys.executable, "-c", code], check=True, env=environment, capture_output=True)
-
-
-@pytest.mark.parametrize(
-    "arguments, words",
-    [
-        (["estimte"], "error: No such command 'estimte'."),
-        (["estimate", "a.png"], "IMG2"),
-        (
-            ["estimate", "a.png", "b.png", "--json", "no/x.json"],
-            "--json: no/x.json: No such file",
-        ),
-        (
-            ["rig", ".", "--out", "no", "--start", os.devnull],
-            "error: --start: /dev/null is not a regular file",
-        ),
-        (["estimate", "auto", "b.png"], "error: auto cannot be read"),
-        (["estimate", "no.png", "b.png", "--mask1", "no.png"], "error: no.png cannot be read"),
-        (["moved", "a.png", "b.png", "--json", "./no/x"], "--json: ./no/x: No such file"),
-        (["rig", "none", "--out", "no"], "error: FRAMES none: no such folder"),
-    ],
-)
-def test_misuse_is_one_line_and_exit_2(arguments, words):
-    assert_refused(run(*arguments), words)
 
 
 NOT_EXPECTED = "RuntimeError: can't allocate memory: 9 (--debug shows the trace)"
@@ -99,61 +87,57 @@ NOT_EXPECTED = "RuntimeError: can't allocate memory: 9 (--debug shows the trace)
         (RuntimeError("can't allocate memory: 9"), 1, NOT_EXPECTED),
     ],
 )
-def test_errors_are_one_line_and_an_exit_code(raising, error, code, line):
-    result = raising(error)
+def test_errors_are_one_line_and_an_exit_code(info, error, code, line):
+    def fail():
+        raise error
+
+    result = info(fail)
     assert (result.exit_code, result.stdout, result.stderr) == (code, "", f"error: {line}\n")
-    result = raising(error, "--debug")
+    result = info(fail, "--debug")
     assert result.exit_code == code
     assert "Traceback" in result.stderr and result.stderr.endswith(f"error: {line}\n")
 
 
-@pytest.mark.usefixtures("default_signals")
 @pytest.mark.parametrize(
-    ("number", "line"),
-    [(signal.SIGINT, "interrupted"), (signal.SIGTERM, "stopped by SIGTERM")],
+    ("number", "usual", "line"),
+    [
+        (signal.SIGINT, signal.default_int_handler, "interrupted"),
+        (signal.SIGTERM, signal.SIG_DFL, "stopped by SIGTERM"),
+        (signal.SIGHUP, signal.SIG_DFL, "stopped by SIGHUP"),
+    ],
 )
-def test_a_signal_to_stop_is_one_line_and_the_shells_code(raising, number, line):
-    class Raised(Exception):
-        def __init__(self):
-            signal.raise_signal(number)
+def test_a_signal_to_stop_is_one_line_and_the_shells_code_unless_it_is_ignored(
+    info, number, usual, line
+):
+    """As nohup and scripts ignore it for commands that are to run on."""
 
-    before = signal.getsignal(number)
-    result = raising(Raised)
-    assert (result.exit_code, result.stderr) == (128 + number, f"error: {line}\n")
-    assert signal.getsignal(number) == before
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_that_is_ignored_stays_so(monkeypatch, number):
-    """As nohup and scripts start commands that are to run on."""
-
-    @click.command()
-    def info():
+    def stop():
         signal.raise_signal(number)
         click.echo("runs on")
 
-    monkeypatch.setattr("dgc_pose.cli.info.info", info)
-    before = signal.signal(number, signal.SIG_IGN)
+    before = signal.signal(number, usual)
     try:
-        result = run("info")
+        stopped = info(stop)
+        assert signal.getsignal(number) == usual
+        signal.signal(number, signal.SIG_IGN)
+        ran = info(stop)
     finally:
         signal.signal(number, before)
-    assert (result.exit_code, result.stdout, result.stderr) == (0, "runs on\n", "")
+    assert (stopped.exit_code, stopped.stderr) == (128 + number, f"error: {line}\n")
+    assert (ran.exit_code, ran.stdout, ran.stderr) == (0, "runs on\n", "")
 
 
-def test_warnings_are_lines_of_their_own(monkeypatch):
-    @click.command()
-    def info():
+def test_warnings_are_lines_of_their_own(info):
+    def warn():
         warnings.warn("of a library", stacklevel=1)
         logging.getLogger("matplotlib.font_manager").warning("of a font")
         logging.getLogger("dgc_pose.system.files").warning("left:\n%s", "x")
 
-    monkeypatch.setattr("dgc_pose.cli.info.info", info)
-    assert run("info").stderr == "warning: left: x\n"
+    assert info(warn).stderr == "warning: left: x\n"
 
 
 def test_a_log_file_gets_a_line_a_minute(monkeypatch, capsys):
-    """Of 780 pairs 60 are of the run before; six take a second."""
+    """60 of 780 pairs are done before; six take a second."""
     clock = SimpleNamespace(seconds=0.0, monotonic=lambda: clock.seconds)
     monkeypatch.setattr("dgc_pose.cli.process.time", clock)
     with progress_bars() as progress:

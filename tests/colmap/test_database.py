@@ -9,7 +9,7 @@ import numpy as np
 import PIL.Image
 import pycolmap
 import pytest
-from results import camera, true_row
+from results import camera, pair_row
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.batch.pairs import MatchedPair, row_of
@@ -23,7 +23,7 @@ from dgc_pose.colmap.database import (
 )
 from dgc_pose.colmap.tracking import PairGeometry, SharedMatches
 from dgc_pose.errors import InputError
-from dgc_pose.estimation import RelativePose
+from dgc_pose.estimation import RelativePose, Status
 from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.matches import Matches
 
@@ -36,7 +36,7 @@ def _write(path: Path) -> tuple[np.ndarray, np.ndarray]:
     t = np.array([0.6, 0.0, 0.8])
     points = np.array([[0.0, 0], [10.25, 7], [3, 4]]), np.array([[5.0, 6], [7, 8]])
     shared = SharedMatches(dict(zip(NAMES, points, strict=True)), {NAMES: INDEX})
-    row = true_row(NAMES, R, t)
+    row = pair_row(NAMES, "ok", R, t, count=100)
     cameras = {name: camera() for name in NAMES}
     cameras["c.png"] = replace(camera(), focal_std=0.4)
     names = ("a.png", "b.png", "c.png", "bad.png")
@@ -99,8 +99,8 @@ def test_images_of_one_camera_share_it(
     ("status", "config"),
     [("ok", "CALIBRATED"), ("planar", "PLANAR"), ("rotation_only", "PANORAMIC")],
 )
-def test_the_status_is_the_configuration(status: str, config: str) -> None:
-    row = true_row(NAMES, np.eye(3), np.array([1.0, 0, 0]), status)
+def test_the_status_is_the_configuration(status: Status, config: str) -> None:
+    row = pair_row(NAMES, status)
     geometry = two_view_geometry(row, INDEX)
     assert geometry.config == getattr(pycolmap.TwoViewGeometryConfiguration, config)
     assert (geometry.E is None) == (status == "rotation_only")

@@ -11,7 +11,7 @@ from batch_runs import view_folder
 from command_line import assert_refused, run
 from marker_scene import draw_markers, square, texture
 from scipy.spatial.transform import Rotation
-from worlds import K_text
+from worlds import K_text, colmap_model
 
 from dgc_pose import InputError
 from dgc_pose.colmap.options import ReconstructionOptions
@@ -52,17 +52,9 @@ def model_of(
     params: tuple[float, ...] = (30.0, 30.0, 20.0, 15.0),
 ) -> pycolmap.Reconstruction:
     """A model with a camera at each centre (N, 3), all of one rotation."""
-    model = pycolmap.Reconstruction()
-    camera = pycolmap.Camera(model="PINHOLE", width=640, height=480, params=params, camera_id=1)
-    model.add_camera_with_trivial_rig(camera)
-    for number, centre in enumerate(centres, start=1):
-        image = pycolmap.Image(NAMES[number - 1], camera_id=1, image_id=number)
-        pose = pycolmap.Rigid3d(
-            pycolmap.Rotation3d(rotation.as_quat()), -rotation.as_matrix() @ centre
-        )
-        model.add_image_with_trivial_frame(image, pose)
-        model.register_frame(model.images[number].frame_id)
-    return model
+    camera = pycolmap.Camera(model="PINHOLE", width=640, height=480, params=params)
+    R = rotation.as_matrix()
+    return colmap_model(NAMES, [(R, centre) for centre in centres], camera)
 
 
 def centres_of(model: pycolmap.Reconstruction) -> np.ndarray:

@@ -4,15 +4,14 @@ from collections.abc import Mapping
 from itertools import combinations
 
 import numpy as np
-from results import camera, true_row
-from scenes import project
+from results import camera, pair_row
+from scenes import two_views
 from scipy.spatial import cKDTree
-from worlds import SIZE, K, render_views
+from worlds import SIZE, render_views
 
 from dgc_pose.batch.pairs import epipolar_error_px
 from dgc_pose.colmap.tracking import PairGeometry, SharedMatches, one_to_one, track_corners
 from dgc_pose.images.image import Image, masked
-from dgc_pose.matches import Matches
 
 
 def _shared(
@@ -32,15 +31,14 @@ def _shared(
     made = []
     for i, j in combinations(range(4), 2):
         view1, view2 = views[i], views[j]
-        R = view2.R @ view1.R.T
-        row = true_row((names[i], names[j]), R, view2.t - R @ view1.t)
+        pose = view2.R @ view1.R.T, view2.t - view2.R @ view1.R.T @ view1.t
         wall = rng.uniform((-1.2, -1.4), (1.5, -0.5), (300, 2))
-        points = np.column_stack([wall, np.full(300, 6.0)])
-        points1, points2 = (project(points, K, v.R, v.t) for v in (view1, view2))
-        points1 += noise_px * rng.standard_normal(points1.shape)
-        points2[:wrong] += 30
-        matches = Matches(points1, points2, np.ones(300), 0.5)
-        made.append(PairGeometry(row, (camera(), camera()), matches))
+        points = np.column_stack([wall, np.full(300, 6.0)]) @ view1.R.T + view1.t
+        cameras = camera(), camera()
+        matches = two_views(points, cameras, pose, rng, everywhere=True).matches
+        matches.points1[:] += noise_px * rng.standard_normal(matches.points1.shape)
+        matches.points2[:wrong] += 30
+        made.append(PairGeometry(pair_row((names[i], names[j]), "ok", *pose), cameras, matches))
     return track_corners(made, images.__getitem__, per_image=200), made
 
 
@@ -97,5 +95,5 @@ def test_matches_far_from_the_pose_do_not_fit() -> None:
     points1, points2 = pair.matches.points1, pair.matches.points2
     assert epipolar_error_px(pair.row, pair.cameras, points1, points2).max() < 1e-3
     assert epipolar_error_px(pair.row, pair.cameras, points1, points2 + (0, 3)).min() > 1
-    turned = true_row(pair.row.names, np.eye(3), np.zeros(3), "rotation_only")
+    turned = pair_row(pair.row.names, "rotation_only")
     assert (epipolar_error_px(turned, pair.cameras, points1, points2 + (0, 3)) == 0).all()

@@ -28,10 +28,10 @@ def known_models(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(candidates, "shipped_models", lambda: models)
 
 
-def _estimate(scene, matches=None, min_probability=0.5):
+def _estimate(scene: TwoViewScene, min_probability: float | None = 0.5) -> RelativePose:
     options = EstimationOptions(runs=3, iterations=300, min_probability=min_probability)
-    matches = scene.matches if matches is None else matches
-    return estimate_pose(dataclasses.replace(matches, weights=WEIGHTS), *scene.cameras, options)
+    matches = dataclasses.replace(scene.matches, weights=WEIGHTS)
+    return estimate_pose(matches, *scene.cameras, options)
 
 
 @pytest.mark.usefixtures("known_models")
@@ -68,15 +68,21 @@ def test_points_behind_a_camera_tell_the_two_poses_apart(seed: int) -> None:
     assert pose.probability > 0.9 * ANY > 0.1 * ANY > other.probability
 
 
-def test_without_a_probability_poses_keep_the_order_of_inliers() -> None:
+@pytest.mark.parametrize("seed", [2, 4])
+def test_without_a_probability_poses_keep_the_order_of_inliers(seed: int) -> None:
     """Those of another dense map than that of a network of the fit."""
-    scene = poster_scene(seed=2, sigma_px=0.4)
-    pose = _estimate(scene)
-    assert pose.status == "planar"
+    scene = poster_scene(seed=seed, sigma_px=0.4)
+    pose = _estimate(scene, min_probability=None)
+    assert pose.status == "planar" and len(pose.alternatives) in (1, 2)
     assert pose.probability is None and pose.any_probability is None
-    (other,) = pose.alternatives
-    assert other.probability is None and other.num_inliers <= pose.num_inliers
     assert all(np.isnan(hypothesis.share) for hypothesis in pose.hypotheses)
+    for other in pose.alternatives:
+        assert other.probability is None and other.num_inliers <= pose.num_inliers
+    assert pose.alternatives[0].num_inliers > 0.75 * pose.num_inliers
+    errors = [max(scene.errors_deg(answer)) for answer in (pose, *pose.alternatives)]
+    assert min(errors) < 3 and max(errors) > 10
+    for words in ("other pose", "nearly a plane"):
+        assert any(words in warning for warning in pose.warnings)
 
 
 @pytest.mark.usefixtures("known_models")
@@ -141,7 +147,7 @@ def test_a_plane_amid_matches_that_contradict_it_may_have_moved(around: int, sta
 
 @pytest.mark.usefixtures("known_models")
 @pytest.mark.parametrize("seed", SEEDS)
-def test_of_a_moved_plane_with_two_poses_the_likeliest_pose_comes_first(seed: int) -> None:
+def test_the_likeliest_pose_of_a_moved_plane_with_two_poses_comes_first(seed: int) -> None:
     """Half of the probability is that of the other motion."""
     plane = poster_scene(seed=seed, sigma_px=0.1)
     scene = two_view_scene("general", seed=seed + 9, count=120, outliers=0.0, rotation_deg=25)
@@ -152,7 +158,7 @@ def test_of_a_moved_plane_with_two_poses_the_likeliest_pose_comes_first(seed: in
     assert likely[0] == pytest.approx(ANY / 2) and likely[1] < likely[0]
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_wrong_matches_are_no_second_motion(seed: int) -> None:
     pose = _pose_of(two_view_scene("planar", seed=seed, outliers=0.4))
     assert pose.evidence is not None and pose.evidence.num_second_inliers == 0

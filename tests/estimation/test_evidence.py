@@ -35,7 +35,7 @@ def test_the_parallax_grows_with_the_baseline():
         rng = np.random.default_rng(0)
         X = rng.uniform(-1, 1, (500, 3)) * (3, 2, 2) + (0, 0, 6)
         exact = project(X, np.eye(3)), project(X + (baseline, 0, 0), np.eye(3))
-        points = [of_image + 3e-4 * rng.standard_normal((500, 2)) for of_image in exact]
+        points = [seen + 3e-4 * rng.standard_normal((500, 2)) for seen in exact]
         problem = normalised_problem(*points, 4e-3, CELLS)
         pose = Hypothesis.of_pose(problem, np.eye(3), np.array([1.0, 0, 0]))
         parallaxes.append(measured(problem, pose).parallax)
@@ -95,7 +95,7 @@ def test_the_chance_level_is_the_share_of_inliers_among_all_wrong_pairs():
     assert ratio == pytest.approx((hits + 1) / (40 * 39 + 1))
 
 
-def test_of_many_matches_a_draw_tells_the_same():
+def test_a_draw_of_many_matches_tells_the_same():
     rng = np.random.default_rng(4)
     points1, points2 = rng.uniform(-0.5, 0.5, (2, 9000, 2))
     E = essential_from_pose(np.eye(3), np.array([0.6, 0.0, 0.8]))

@@ -81,7 +81,7 @@ def test_the_errors_are_those_of_points_that_the_deviating_cameras_normalise():
 @pytest.mark.parametrize(
     ("identity", "same_size", "columns"), [("a", True, 6), ("a", False, 8), (None, True, 12)]
 )
-def test_one_camera_has_one_focal_length_and_of_one_size_one_centre(identity, same_size, columns):
+def test_one_camera_has_one_focal_length_and_one_centre_for_one_size(identity, same_size, columns):
     camera1, camera2 = two_view_scene(same_camera=True).cameras
     camera1, camera2 = (
         replace(camera, **STDS, identity=identity)

@@ -50,7 +50,7 @@ def wall(poses: list[np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]]:
     return [(at[:, :2] / at[:, 2:], at[:, 2]) for at in local]
 
 
-def test_drawn_markers_60_pixels_wide_in_three_pictures() -> None:
+def test_drawn_markers_60_pixels_wide_tell_their_side() -> None:
     """Within 1 %, and as the deviation states."""
     off = []
     for seed in range(4):
@@ -96,8 +96,8 @@ def test_what_is_no_square_is_left_out() -> None:
     poses, rng = views(4), np.random.default_rng(0)
     seen = [{"a:1": pixels_of(K, pose, right["a:1"])} for pose in poses]
     seen[2]["a:1"] = seen[2]["a:1"] + (25, 10)
-    for of_image in seen:
-        of_image["a:2"] = rng.uniform(100, 400, 2) + pixels_of(K, poses[0], right["a:1"])
+    for markers in seen:
+        markers["a:2"] = rng.uniform(100, 400, 2) + pixels_of(K, poses[0], right["a:1"])
     found = marker_side(seen, [CAMERA] * 4, poses)
     assert found.images == {"a:1": 3} and found.side == pytest.approx(0.15, rel=1e-4)
     kite = square(0.15, (0.1, 0, 2)) * (1, 2, 1)
@@ -147,7 +147,7 @@ def test_a_marker_that_moved_between_two_pictures_is_named() -> None:
         assert told.startswith("marker a:1 is ") and told.endswith(": it is not used")
 
 
-def test_a_marker_amid_points_stands_out_of_nothing() -> None:
+def test_a_marker_amid_points_does_not_stand_out() -> None:
     poses, rng = views(2), np.random.default_rng(0)
     points = rng.uniform((-1, -1, 1.7), (1, 1, 2.3), (400, 3))
     local = [points @ pose[:, :3].T + pose[:, 3] for pose in poses]

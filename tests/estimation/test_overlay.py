@@ -61,16 +61,16 @@ def _assert_right(pose: RelativePose, scene: TwoViewScene, most_deg: float = 2.5
 def test_an_overlay_is_left_out_and_told(share, place, second, auto) -> None:
     scene = _with(camera_scene(CAMERA, second, **TURN), share, place)
     count = len(scene.matches)
-    of_overlay = np.arange(count) >= 800
+    overlay = np.arange(count) >= 800
     pose = scene.estimate(*(() if auto else scene.cameras))
     # Two sizes of no sensor's shape, and no K: each picture may be a part.
     _assert_right(pose, scene, 8.0 if auto else 1.0)
-    assert pose.inliers.shape == (count,) and not pose.inliers[of_overlay].any()
+    assert pose.inliers.shape == (count,) and not pose.inliers[overlay].any()
     assert pose.inliers[scene.true].mean() > 0.9
     (warning,) = _told(pose)
     number = int(warning.split()[0])
     # A wrong match may stay by chance.
-    assert of_overlay.sum() <= number <= of_overlay.sum() + 2
+    assert overlay.sum() <= number <= overlay.sum() + 2
     assert f"of {count} matches ({100 * number / count:.0f} %)" in warning and "mask1" in warning
 
 
@@ -133,7 +133,7 @@ def test_the_same_picture_has_no_pose_and_no_rotation(outliers, auto, second) ->
 
 
 @pytest.mark.parametrize(("seed", "auto"), [(0, False), (1, True)])
-def test_of_a_turntable_both_motions_are_told(seed: int, auto: bool) -> None:
+def test_both_motions_of_a_turntable_are_told(seed: int, auto: bool) -> None:
     """One match in three is of an object that turned by 25 degrees, all others of a background
     that stood still."""
     turn = {"turn_deg": (4, 25, 0), "centre": (-2.2, 0.4, 0.4), "depths": (4.8, 7.2)}
@@ -177,7 +177,7 @@ def test_a_motion_that_leaves_a_part_in_place_is_no_overlay(turn_deg, centre, fo
         (0, 30, 100, 2.0, True),  # by 1.5 pixels, within the expected error
     ],
 )
-def test_how_many_have_to_stay(still, slow, moving, error_px, found) -> None:
+def test_matches_stay_if_enough_of_them_do(still, slow, moving, error_px, found) -> None:
     rng = np.random.default_rng(0)
     points = rng.uniform(100, 1000, (still + slow + moving, 2))
     by = np.repeat([0.3, 1.5, 40.0], (still, slow, moving))

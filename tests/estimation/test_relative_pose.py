@@ -1,5 +1,7 @@
 """From matches to a pose or to a failure, on every kind of scene."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scenes import K1, SIZE1, SIZE2, camera_scene, project, two_view_scene
@@ -52,11 +54,9 @@ def test_the_pose_of_a_solid_scene(kind):
     [
         ("rotation_only", 0.0, 60),
         ("rotation_only", 0.5, 200),
-        ("rotation_only", 3.0, 60),
         ("rotation_only", 3.0, 3000),
         ("identical", 0.5, 200),  # exact copies are the same picture: test_overlay.py
         ("identical", 3.0, 60),
-        ("identical", 3.0, 3000),
     ],
 )
 def test_cameras_in_one_place_give_a_rotation_and_no_translation(kind, sigma_px, count):
@@ -74,41 +74,47 @@ def test_smooth_errors_of_dense_matches_are_no_translation(smooth, degrees):
     R = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
     y, x = (np.mgrid[0:60, 0:60] + 0.5) * np.array([20, 1600 / 60])[:, None, None] - 0.5
     points2 = np.column_stack([x.ravel(), y.ravel()])
-    for seed in range(3):
-        rng = np.random.default_rng(seed)
-        error = np.stack(
-            [gaussian_filter(rng.standard_normal((60, 60)), smooth).ravel() for _ in range(2)], 1
-        )
-        points1 = (points2 - (799.5, 599.5)) @ R[:2, :2] + (799.5, 599.5)
-        points1 = points1 + 4.0 * error / error.std(0)
-        pose = estimate_pose(as_matches(points1, points2, 4.0), camera, camera)
-        assert pose.status == "rotation_only" and pose.t is None
-        assert rotation_error_deg(pose.R, R) < 1.0
+    rng = np.random.default_rng(0)
+    error = np.stack(
+        [gaussian_filter(rng.standard_normal((60, 60)), smooth).ravel() for _ in range(2)], 1
+    )
+    points1 = (points2 - (799.5, 599.5)) @ R[:2, :2] + (799.5, 599.5)
+    points1 = points1 + 4.0 * error / error.std(0)
+    pose = estimate_pose(as_matches(points1, points2, 4.0), camera, camera)
+    assert pose.status == "rotation_only" and pose.t is None
+    assert rotation_error_deg(pose.R, R) < 1.0
 
 
 @pytest.mark.parametrize("baseline", [0.03, 0.3])
 def test_a_small_but_real_baseline_is_a_pose(baseline):
     cameras = two_view_scene("general", count=1).cameras
     motion = {"turn_deg": (2.0, -3.0, 1.0), "centre": 6 * baseline * np.array([0.97, 0.1, 0.2])}
-    for seed in range(3):
-        scene = camera_scene(*cameras, seed=seed, outliers=0.3, **motion)
-        pose = estimate(scene)
-        assert pose.status == "ok"
-        assert translation_error_deg(pose.t, scene.t) < 5
+    scene = camera_scene(*cameras, outliers=0.3, **motion)
+    pose = estimate(scene)
+    assert pose.status == "ok"
+    assert translation_error_deg(pose.t, scene.t) < 5
 
 
 @pytest.mark.parametrize(
-    ("count", "threshold_px"), [(20, 10.0), (100, 1.0), (100, 20.0), (1000, 1.0), (20_000, 10.0)]
+    ("count", "threshold_px", "focal_std", "seed"),
+    [
+        *((20, 10.0, 0.0, seed) for seed in range(3)),
+        *((100, threshold_px, 0.0, seed) for threshold_px in (1.0, 20.0) for seed in range(2)),
+        (1000, 1.0, 0.0, 0),
+        (1000, 1.0, 0.4, 0),
+        (10_000, 10.0, 0.0, 0),
+    ],
 )
-def test_random_matches_never_give_a_pose(count, threshold_px):
-    for seed in range(3):
-        scene = two_view_scene("random", seed=seed, count=2)
-        rng = np.random.default_rng(seed)
-        matches = as_matches(rng.random((count, 2)) * SIZE1, rng.random((count, 2)) * SIZE2)
-        pose = estimate(scene, matches, threshold_px=threshold_px, runs=2, iterations=300)
-        assert_no_pose(pose)
-        assert pose.R is None and pose.quaternion_wxyz is None
-        assert pose.status in ("chance_inliers", "no_model")
+def test_random_matches_never_give_a_pose(count, threshold_px, focal_std, seed):
+    rng = np.random.default_rng(seed)
+    matches = as_matches(rng.random((count, 2)) * SIZE1, rng.random((count, 2)) * SIZE2)
+    cameras = (replace(camera, focal_std=focal_std) for camera in two_view_scene(count=1).cameras)
+    options = EstimationOptions(threshold_px=threshold_px, runs=2, iterations=300)
+    pose = estimate_pose(matches, *cameras, options)
+    assert_no_pose(pose)
+    assert pose.camera1 is None
+    assert pose.R is None and pose.quaternion_wxyz is None
+    assert pose.status in ("chance_inliers", "no_model")
 
 
 @pytest.mark.parametrize("count", [0, 1, 19])

@@ -21,14 +21,14 @@ from dgc_pose.estimation.status import STATUSES, Status
 FAST = EstimationOptions(runs=1)
 
 
-def of_scene(kind: SceneKind = "general", **deviations: float) -> RelativePose:
+def scene_pose(kind: SceneKind = "general", **deviations: float) -> RelativePose:
     scene = two_view_scene(kind, seed=1, count=300)
     cameras = (replace(camera, **deviations) for camera in scene.cameras)
     return estimate_pose(scene.matches, *cameras, FAST)
 
 
 def test_the_forms_of_a_pose() -> None:
-    pose = of_scene()
+    pose = scene_pose()
     point = np.array([0.3, -0.2, 4.0])
     by_matrix = pose.matrix() @ np.append(point, 1)
     np.testing.assert_allclose(by_matrix, [*(pose.R @ point + pose.t), 1])
@@ -37,42 +37,47 @@ def test_the_forms_of_a_pose() -> None:
     np.testing.assert_allclose(pose.rotvec, rotation.as_rotvec(), atol=1e-9)
     wxyz = np.roll(rotation.as_quat(canonical=True), 1)
     np.testing.assert_allclose(pose.quaternion_wxyz, wxyz, atol=1e-9)
-    turned = of_scene("rotation_only")
+    turned = scene_pose("rotation_only")
     assert turned.rotvec is not None and turned.matrix() is None and turned.centre is None
-    assert of_scene("random").rotvec is None
+    assert scene_pose("random").rotvec is None
 
 
 def inverted(R: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = R, t
+    """The inverses of poses, R (..., 3, 3) and t (..., 3)."""
+    matrix = np.zeros((*t.shape[:-1], 4, 4))
+    matrix[..., :3, :3] = R
+    matrix[..., :3, 3] = t
+    matrix[..., 3, 3] = 1
     matrix = np.linalg.inv(matrix)
-    return matrix[:3, :3], matrix[:3, 3]
+    return matrix[..., :3, :3], matrix[..., :3, 3]
 
 
-def test_the_inverse_has_the_covariance_of_inverted_poses() -> None:
-    pose = of_scene()
+@pytest.mark.parametrize("kind", ["general", "rotation_only"])
+def test_the_inverse_has_the_covariance_of_inverted_poses(kind: SceneKind) -> None:
+    pose = scene_pose(kind)
     inverse = pose.inverse()
-    R, t = inverted(pose.R, pose.t)
+    t = np.zeros(3) if pose.t is None else pose.t
+    R, t_of_inverse = inverted(pose.R, t)
     np.testing.assert_allclose(inverse.R, R, atol=1e-12)
-    np.testing.assert_allclose(inverse.t, t, atol=1e-12)
+    if pose.t is not None:
+        np.testing.assert_allclose(inverse.t, t_of_inverse, atol=1e-12)
+        # t is perpendicular to its errors.
+        np.testing.assert_allclose(inverse.covariance[3:, 3:] @ inverse.t, 0, atol=1e-12)
     # Drawn errors, small enough for the inversion to be linear.
     covariance = pose.covariance * 1e-8 / np.trace(pose.covariance)
     drawn = np.random.default_rng(0).multivariate_normal(np.zeros(6), covariance, 20_000)
     turns = Rotation.from_rotvec(drawn[:, :3]).as_matrix()
-    of_inverse = []
-    for turn, d in zip(turns, drawn[:, 3:], strict=True):
-        R, t = inverted(turn @ pose.R, pose.t + d)
-        w = Rotation.from_matrix(R @ inverse.R.T).as_rotvec()
-        of_inverse.append([*w, *(t - inverse.t)])
+    R, moved = inverted(turns @ pose.R, t + drawn[:, 3:])
+    rotations = Rotation.from_matrix(R @ inverse.R.T).as_rotvec()
     expected = replace(pose, covariance=covariance).inverse().covariance
-    error = np.cov(np.array(of_inverse).T) - expected
+    error = np.cov(np.column_stack([rotations, moved - t_of_inverse]).T) - expected
     assert np.abs(error).max() < 0.03 * np.abs(expected).max()
-    # t of the inverse is perpendicular to its errors likewise.
-    np.testing.assert_allclose(inverse.covariance[3:, 3:] @ inverse.t, 0, atol=1e-12)
+    if pose.t is None:
+        assert inverse.rotation_error_90_deg == pytest.approx(pose.rotation_error_90_deg)
 
 
 def test_the_inverse_of_the_inverse_is_the_pose_but_for_its_evidence() -> None:
-    for pose in (of_scene(focal_std=0.1), of_scene("rotation_only"), ambiguous_pose()):
+    for pose in (scene_pose(focal_std=0.1), scene_pose("rotation_only"), ambiguous_pose()):
         inverse = pose.inverse()
         back, data = inverse.inverse().to_dict(), pose.to_dict()
         assert back.keys() == data.keys() and inverse.evidence is None
@@ -87,7 +92,7 @@ def test_the_inverse_of_the_inverse_is_the_pose_but_for_its_evidence() -> None:
                 assert back[name] == value, name
         for first, second in zip(pose.hypotheses, inverse.hypotheses, strict=True):
             np.testing.assert_allclose(second.R @ first.t + second.t, 0, atol=1e-12)
-    fitted = of_scene(focal_std=0.1)
+    fitted = scene_pose(focal_std=0.1)
     inverse = fitted.inverse()
     assert inverse.camera1 is fitted.camera2 and inverse.camera2 is fitted.camera1
     blocks, swapped = (
@@ -109,16 +114,16 @@ LENS = Camera(
 @pytest.mark.parametrize(
     "made",
     [
-        of_scene,
-        lambda: of_scene("planar"),
-        lambda: of_scene("rotation_only"),
-        lambda: of_scene("random"),
-        lambda: of_scene(focal_std=0.1, lens_std=0.05),
-        lambda: replace(of_scene(), camera1=LENS, length=1.5, length_std=0.1),
-        lambda: replace(of_scene(), warnings=("one", "two"), seconds={"load": 0.1, "quick": 1.0}),
+        scene_pose,
+        lambda: scene_pose("planar"),
+        lambda: scene_pose("rotation_only"),
+        lambda: scene_pose("random"),
+        lambda: scene_pose(focal_std=0.1, lens_std=0.05),
+        lambda: replace(scene_pose(), camera1=LENS, length=1.5, length_std=0.1),
+        lambda: replace(scene_pose(), warnings=("one", "two"), seconds={"load": 0.1, "quick": 1.0}),
         ambiguous_pose,
         lambda: RelativePose("too_few_matches", "few", np.zeros(3, bool), 3),
-        lambda: replace(of_scene(), probability=None, any_probability=None),
+        lambda: replace(scene_pose(), probability=None, any_probability=None),
     ],
 )
 def test_a_pose_is_read_from_its_json(made: Callable[[], RelativePose]) -> None:
@@ -152,7 +157,7 @@ def test_a_pose_is_read_from_its_json(made: Callable[[], RelativePose]) -> None:
 )
 def test_what_is_no_pose_is_refused(change: Callable[[Any], Any]) -> None:
     with pytest.raises(InputError, match="^data cannot be read as a pose of to_dict"):
-        RelativePose.from_dict(change(of_scene().to_dict()))
+        RelativePose.from_dict(change(scene_pose().to_dict()))
 
 
 GUIDE = Path(__file__).resolve().parents[2] / "docs" / "quick-start.md"

@@ -129,24 +129,23 @@ def test_a_plane_brings_a_wrong_pose_back_to_a_right_one(refined: bool) -> None:
     assert best_planar(problem, wrong, H, refined).angle_to(scene.R, scene.t) < 2
 
 
-@pytest.mark.parametrize("identity", ["shared", None])
 @pytest.mark.parametrize(
-    ("H", "R"),
+    ("H", "R", "identity"),
     [
-        (np.array([[1, 0, -150], [0, 1, 80], [0, 0, 1.0]]), np.eye(3)),  # a crop
-        (np.array([[1.4, 0, -420], [0, 1.4, -10], [0, 0, 1.0]]), np.eye(3)),  # a crop, enlarged
-        (ZOOMED @ np.linalg.inv(K), np.eye(3)),
-        (K @ ROLL @ np.linalg.inv(K), ROLL),
-        (K @ TURN @ np.linalg.inv(K), TURN),
-        (ZOOMED @ TURN @ np.linalg.inv(K), TURN),
+        (np.array([[1, 0, -150], [0, 1, 80], [0, 0, 1.0]]), np.eye(3), "shared"),
+        (np.array([[1.4, 0, -420], [0, 1.4, -10], [0, 0, 1.0]]), np.eye(3), None),
+        (ZOOMED @ np.linalg.inv(K), np.eye(3), "shared"),
+        (K @ ROLL @ np.linalg.inv(K), ROLL, None),
+        (K @ TURN @ np.linalg.inv(K), TURN, "shared"),
+        (ZOOMED @ TURN @ np.linalg.inv(K), TURN, None),
     ],
     ids=["crop", "enlarged", "zoom", "roll", "turn", "turn and zoom"],
 )
 def test_a_camera_that_did_not_move_has_no_pose(H, R, identity) -> None:
     rng = np.random.default_rng(4)
-    points1 = rng.random((2400, 2)) * SIZE
-    moved = np.column_stack([points1, np.ones(2400)]) @ H.T
-    points2 = moved[:, :2] / moved[:, 2:] + 0.2 * rng.standard_normal((2400, 2))
+    points1 = rng.random((1200, 2)) * SIZE
+    moved = np.column_stack([points1, np.ones(1200)]) @ H.T
+    points2 = moved[:, :2] / moved[:, 2:] + 0.2 * rng.standard_normal((1200, 2))
     seen = ((points2 > 0) & (points2 < SIZE)).all(1)  # in both images
     points1, points2 = points1[seen], points2[seen]
     wrong = rng.random(len(points2)) < 0.1

@@ -21,7 +21,7 @@ LENGTH = 1.7  # metres, of t
 @lru_cache
 def scene_and_pose(seed: int) -> tuple[TwoViewScene, np.ndarray, RelativePose]:
     """A scene, its points (N, 3) in camera 1, metres, and the estimated pose."""
-    scene, exact = two_view_scene(seed=seed), two_view_scene(seed=seed, sigma_px=0.0)
+    scene, exact = (two_view_scene(seed=seed, count=600, sigma_px=sigma) for sigma in (0.5, 0.0))
     cam1 = exact.K1 @ np.eye(3, 4)
     cam2 = exact.K2 @ np.column_stack([exact.R, LENGTH * exact.t])
     points = cv2.triangulatePoints(cam1, cam2, exact.points1.T, exact.points2.T)
@@ -41,6 +41,7 @@ def depth_map(
     return read_depth(depth, "depth1", size, 1)
 
 
+@lru_cache
 def maps_of(seed: int, noise: float = 0.02, rays: bool = False) -> list[np.ndarray | None]:
     """Depth maps of both images. rays: of distances along the rays."""
     scene, points, _ = scene_and_pose(seed)
@@ -60,7 +61,7 @@ def test_depth_maps_tell_the_length_as_surely_as_they_say(
 ) -> None:
     """Distances along the rays, 6 % longer than z, are converted, with a warning."""
     within = []
-    for seed in range(8):
+    for seed in range(6):
         scene, _, pose = scene_and_pose(seed)
         both = maps_of(seed, rays=rays)
         maps = [both[n] if n + 1 in images else None for n in range(2)]
@@ -71,7 +72,7 @@ def test_depth_maps_tell_the_length_as_surely_as_they_say(
         assert abs(result.length / LENGTH - 1) < 0.03
         assert 0.01 < result.length_std / LENGTH < 0.04
         within.append(abs(result.length - LENGTH) < 1.645 * result.length_std)
-    assert sum(within) >= 6
+    assert sum(within) >= 4
 
 
 def test_depths_that_do_not_tell_their_kind_widen_the_deviation() -> None:
@@ -84,7 +85,7 @@ def test_depths_that_do_not_tell_their_kind_widen_the_deviation() -> None:
     for depth in points[:, 2], points[:, 2] * secant:
         maps = [depth_map(scene.points1[rim], depth[rim], SIZE1, 0.02), None]
         result = with_length(pose, scene.matches, ScaleSource(), maps)
-        assert len(rim) > 50 and result.warnings == pose.warnings
+        assert len(rim) > 30 and result.warnings == pose.warnings
         assert result.length_std > result.length * np.hypot(0.02, 0.3 * 0.08)
         lengths.append(result.length)
     assert lengths[1] / lengths[0] == pytest.approx(1.08, abs=0.01)
@@ -99,23 +100,15 @@ def test_a_depth_map_of_another_scene_is_doubted() -> None:
     assert "the matches contradict the depth" in result.warnings[-1]
 
 
-def test_too_few_depths_or_inliers_near_a_point_tell_nothing() -> None:
+def test_too_few_depths_give_no_length() -> None:
     scene, points, pose = scene_and_pose(0)
     few = np.flatnonzero(pose.inliers)[:5]
     maps = [depth_map(scene.points1[few], points[few, 2], SIZE1, 0.0), None]
     result = with_length(pose, scene.matches, ScaleSource(), maps)
-    assert result.length is None
-    assert (
-        result.warnings[-1]
-        == "the length of t is not known: 5 inliers have a depth, and 10 are needed"
-    )
-    source = ScaleSource(distance=(-900.0, 3.0, 100.0, 100.0, 2.0))
-    result = with_length(pose, scene.matches, source, [None, None])
     assert result.length is None and result.length_std is None and result.R is pose.R
     *before, few = result.warnings
     assert tuple(before) == pose.warnings
-    assert few.startswith("the length of t is not known: 0 inliers are within ")
-    assert few.endswith(" pixels of (-900, 3)")
+    assert few == "the length of t is not known: 5 inliers have a depth, and 10 are needed"
 
 
 def test_a_focal_length_that_is_uncertain_widens_the_deviation() -> None:
@@ -149,7 +142,7 @@ def test_without_a_pose_or_a_source_nothing_changes() -> None:
 
 def test_a_marker_tells_the_length_as_surely_as_it_says() -> None:
     within = []
-    for seed in range(8):
+    for seed in range(6):
         scene, points, pose = scene_and_pose(seed)
         middle = np.median(points, axis=0)
         corners, rng = square(0.1 * middle[2], middle, (0.2, 0.3, 0)), np.random.default_rng(seed)
@@ -161,9 +154,9 @@ def test_a_marker_tells_the_length_as_surely_as_it_says() -> None:
         result = with_length(pose, scene.matches, source, [None, None], markers)
         assert abs(result.length / LENGTH - 1) < 0.05
         within.append(abs(result.length - LENGTH) < 1.645 * result.length_std)
-    assert sum(within) >= 6
-    for of_image in markers:
-        of_image["a:1"] = np.random.default_rng(1).uniform(0, 300, (4, 2))
+    assert sum(within) >= 4
+    for found in markers:
+        found["a:1"] = np.random.default_rng(1).uniform(0, 300, (4, 2))
     result = with_length(pose, scene.matches, source, [None, None], markers)
     assert result.length is None and result.warnings[-1].endswith("poses of 0 of its 2 images")
 
@@ -212,13 +205,12 @@ def test_a_marker_must_be_in_both_images() -> None:
     [
         {"baseline": (0.0,)},
         {"baseline": (1.0, np.inf)},
-        {"distance": (1.0, 2.0, 3.0, 4.0)},
-        {"distance": "1,2,3,4,nan"},
+        {"baseline": (1.0, 2.0, 3.0)},
+        {"baseline": "1,nan"},
         {"depth_std": 0.0},
         {"marker": 0.0},
         {"marker": 15.0},
         {"marker": 0.1, "baseline": (1.0,)},
-        {"baseline": (1.0,), "distance": (1.0, 2.0, 3.0, 4.0, 5.0)},
         {"depth1": "a.png", "depth2": "b.png", "baseline": (1.0,)},
     ],
 )

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scenes import SceneKind, TwoViewScene, camera_scene, pinhole, poster_scene, two_view_scene
-from scipy.spatial.transform import Rotation
 
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.estimation import RelativePose
@@ -55,54 +54,47 @@ def test_the_slopes_are_the_differences_of_the_errors(lens) -> None:
         np.testing.assert_allclose(slopes[:, :, column], (ahead - behind) / 2e-6, atol=2e-4)
 
 
-@pytest.mark.parametrize("factor", [0.8, 0.9, 0.96, 1.0, 1.04, 1.1, 1.2, 3.0, 10.0])
-@pytest.mark.parametrize(("degrees", "seed"), [(6, 0), (14, 1), (25, 2)])
-def test_a_turn_with_a_wrong_focal_length(factor: float, degrees: float, seed: int) -> None:
-    scene = _turned(degrees, seed)
+@pytest.mark.parametrize(
+    ("degrees", "factor", "k1", "outliers"),
+    [
+        *((6, factor, 0.0, 0.2) for factor in (0.8, 1.0, 3.0)),
+        *((14, factor, 0.0, 0.2) for factor in (0.9, 1.04, 1.2)),
+        *((25, factor, 0.0, 0.2) for factor in (0.96, 1.1, 2.0, 10.0)),
+        # A lens that K leaves out.
+        *((8, 1.0, k1, 0.2) for k1 in (-0.05, -0.3)),
+        (20, 1.0, -0.15, 0.2),
+        (20, 0.85, -0.3, 0.4),
+        (20, 1.2, -0.15, 0.4),
+    ],
+)
+def test_a_turn_is_found_with_a_wrong_camera(
+    degrees: float, factor: float, k1: float, outliers: float
+) -> None:
+    seed = int(degrees)
+    scene = _turned(degrees, seed, k1, outliers)
     stated = CAMERA.with_focal(factor * 1500)
     _assert_turn(scene.estimate(stated, stated, seed=seed), scene)
 
 
-@pytest.mark.parametrize("k1", [-0.3, -0.15, -0.05])
-@pytest.mark.parametrize(("degrees", "seed"), [(8, 0), (20, 1)])
-def test_a_turn_with_a_lens_that_K_leaves_out(k1: float, degrees: float, seed: int) -> None:
-    scene = _turned(degrees, seed, k1)
-    _assert_turn(scene.estimate(CAMERA, CAMERA, seed=seed), scene)
-    if k1 > -0.3:
-        assert scene.estimate(seed=seed).status == "rotation_only"  # and without K
-
-
-@pytest.mark.parametrize(
-    ("outliers", "k1", "factor"), [(0.2, 0.0, 2.0), (0.4, -0.3, 0.85), (0.4, -0.15, 1.2)]
-)
-def test_a_turn_with_a_wrong_camera_and_wrong_matches(
-    outliers: float, k1: float, factor: float
-) -> None:
-    scene = _turned(20, 1, k1, outliers)
-    stated = CAMERA.with_focal(factor * 1500)
-    _assert_turn(scene.estimate(stated, stated, seed=1), scene)
+@pytest.mark.parametrize(("degrees", "k1"), [(8, -0.15), (20, -0.05)])
+def test_a_turn_is_found_without_a_K(degrees: float, k1: float) -> None:
+    assert _turned(degrees, 0, k1).estimate().status == "rotation_only"
 
 
 @pytest.mark.parametrize("kind", ["general", "skew", "orbit", "planar"])
-def test_a_translation_is_no_turn(kind: SceneKind) -> None:
-    for seed in range(3):
-        scene = two_view_scene(kind, seed=seed, same_camera=True, outliers=0.2)
-        for factor in (0.85, 1.0, 1.15):
-            stated = scene.cameras[0].with_focal(factor * scene.cameras[0].focal)
-            pose = scene.estimate(stated, stated, seed=seed)
-            assert pose.status != "rotation_only", (seed, factor)
+@pytest.mark.parametrize(("factor", "seed"), [(0.85, 0), (1.0, 1), (1.15, 2)])
+def test_a_translation_is_no_turn(kind: SceneKind, factor: float, seed: int) -> None:
+    scene = two_view_scene(kind, seed=seed, same_camera=True, outliers=0.2, count=400)
+    stated = scene.cameras[0].with_focal(factor * scene.cameras[0].focal)
+    assert scene.estimate(stated, stated, seed=seed).status != "rotation_only"
 
 
-def test_a_frontal_plane_that_shifts_is_no_turn() -> None:
+@pytest.mark.parametrize("centre", [(1.0, 0.2, 0.0), (0.0, 0.0, 1.5), None])
+def test_a_frontal_plane_that_shifts_is_no_turn(centre: tuple[float, float, float] | None) -> None:
     """A shift or zoom of the image is a turn only of a camera that sees at a point."""
-    for seed in range(3):
-        for centre in ((1.0, 0.2, 0.0), (0.0, 0.0, 1.5)):
-            plane = camera_scene(
-                CAMERA, CAMERA, seed=seed, turn_deg=(0, 0, 0), centre=centre, depths=(6.0, 6.01)
-            )
-            assert plane.estimate(CAMERA, CAMERA, seed=seed).status != "rotation_only"
-        poster = poster_scene(seed=seed)
-        assert poster.estimate(*poster.cameras, seed=seed).status != "rotation_only"
+    plane = {"turn_deg": (0, 0, 0), "centre": centre, "depths": (6.0, 6.01)}
+    scene = camera_scene(CAMERA, CAMERA, **plane) if centre else poster_scene()
+    assert scene.estimate(*scene.cameras).status != "rotation_only"
 
 
 def test_what_a_turn_explains_is_counted_over_all_matches() -> None:
@@ -115,20 +107,6 @@ def test_what_a_turn_explains_is_counted_over_all_matches() -> None:
     assert turned_camera(problem).count < 0.6 * free.count
     few = problem.subset(np.arange(len(problem)) < 12)
     assert turned_camera(few).count <= 12
-
-
-def test_the_inverse_of_a_rotation_has_its_error() -> None:
-    scene = _turned(10, 0)
-    pose = scene.estimate(CAMERA, CAMERA)
-    back = pose.inverse()
-    np.testing.assert_allclose(back.R, pose.R.T)
-    turn = Rotation.from_matrix(pose.R).as_matrix().T
-    block = turn @ pose.covariance[:3, :3] @ turn.T
-    np.testing.assert_allclose(back.covariance[:3, :3], block, atol=1e-15)
-    assert back.rotation_error_90_deg == pytest.approx(pose.rotation_error_90_deg)
-    assert RelativePose.from_dict(pose.to_dict()).rotation_error_90_deg == pytest.approx(
-        pose.rotation_error_90_deg
-    )
 
 
 @pytest.mark.parametrize("size", [(4000, 3000), None])

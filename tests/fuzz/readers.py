@@ -1,7 +1,6 @@
 """The readers of files that users have, with good files that the tests make themselves: of each
 kind what writes such files into a folder, and what reads one of them."""
 
-import json
 from contextlib import suppress
 
 import cv2
@@ -10,6 +9,7 @@ import numpy as np
 import PIL.Image
 import pycolmap
 import torch
+from cameras.formats.camera_files import FORMS, write_file
 from command_line import run
 from given_world import given_world, write_hloc, write_npz, write_with_pycolmap
 from PIL.TiffImagePlugin import IFDRational
@@ -57,28 +57,17 @@ def _camera_of_image(path):
 
 
 def _make_calibrations(folder):
-    frames = [{"file_path": "./a.png", "transform_matrix": np.eye(4).tolist()}]
-    nerf = {"fl_x": 9.0, "cx": 5, "cy": 4, "w": 10, "h": 8, "k1": 0.1, "frames": frames}
-    of_colmap = {"camera_model_name": "PINHOLE", "camera_params": [9, 9, 5, 4]}
-    of_colmap |= {"cam_from_rig_rotation": [1, 0, 0, 0], "cam_from_rig_translation": [1, 2, 3]}
-    texts = {
+    """Each form in a folder of its own, which may be that of a COLMAP model."""
+    for number, (place, content, _) in enumerate(FORMS.values()):
+        (folder / f"{number}").mkdir()
+        write_file(folder / f"{number}" / place.partition(":")[0], content)
+    for name, text in {
         "opencv.arg": "OPENCV,320,240,300,300,160,120,0.1,0.01,0,0",
         "K.txt": "\ufeff300 0 159.5\n0 300 119.5\n0 0 1\n",
-        "table.csv": "name,fx,fy,cx,cy,width,height\na.png,9,9,4,3,10,8\n",
-        "transforms.json": json.dumps(nerf),
-        "pose.json": json.dumps({"K1": [9, 9, 5, 4], "K2": [9, 9, 5, 4]}),
-        "kalibr.yaml": "cam0: {intrinsics: [9, 9, 5, 4], resolution: [10, 8]}\n",
         "text/cameras.txt": "1 OPENCV 10 8 9 9 5 4 0.1 0 0 0\n",
         "text/images.txt": "1 1 0 0 0 0 0 0 1 a.png\n2 3 -1\n",
-        "rig.toml": "[cam_0]\nname = 'A'\nsize = [10, 8]\nmatrix = [[9, 0, 5], "
-        "[0, 9, 4], [0, 0, 1.0]]\ndistortions = [0.1, 0.0, 0.0, 0.0]\n"
-        "rotation = [0.1, 0.2, 0.3]\ntranslation = [1.0, 2.0, 3.0]\n",
-        "rig_config.json": json.dumps([{"cameras": [{"image_prefix": "a/", **of_colmap}]}]),
-        "stereo.json": json.dumps({"M1": [9, 9, 5, 4], "D1": [0.1, 0, 0, 0], "M2": [9, 9, 5, 4]}),
-        "calib.txt": "P0: 9 0 4 0 0 9 3 0 0 0 1 0\nP1: 9 0 4 0 0 9 3 0 0 0 1 0\n",
-    }
-    (folder / "text").mkdir()
-    for name, text in texts.items():
+    }.items():
+        (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text(text, encoding="utf-8")
     np.save(folder / "K.npy", dense_scene.K)
     write_colmap(world_scene(count=9), folder / "binary")
@@ -93,7 +82,7 @@ def _read_calibration(path):
 
 
 def _make_lists(folder):
-    """Of pairs with their poses, of names, and a COLMAP database."""
+    """Lists of pairs with their poses and of names, and a COLMAP database."""
     dense_scene.write_pair_list(folder, pairs=2)
     for picture in folder.glob("*.png"):
         picture.unlink()

@@ -12,7 +12,7 @@ from dgc_pose.geometry.pixels import pixel_grid, rescale
         ((0, 0), (240, 240), (1600, 1200), (0.5 * 1600 / 240 - 0.5, 0.5 * 1200 / 240 - 0.5)),
     ],
 )
-def test_points_of_a_resized_image(point, size, other, expected) -> None:
+def test_the_outer_edges_of_a_resized_image_stay(point, size, other, expected) -> None:
     assert rescale(np.array(point), size, other) == pytest.approx(expected)
 
 

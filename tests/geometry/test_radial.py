@@ -36,16 +36,16 @@ def test_a_cylinder_is_that_of_its_rays() -> None:
 
 
 @pytest.mark.parametrize("lens", [(0.09, -0.2), (-0.3, 0.08), (0.0, 0.0)])
-def test_the_slopes(lens: tuple[float, float]) -> None:
+def test_the_slopes_are_the_differences_of_undistorted_points(lens: tuple[float, float]) -> None:
     seen, step = distorted(POINTS, lens), 1e-6
     gradient = np.random.default_rng(5).standard_normal((2, len(seen)))
     by_seen, by_lens = undistorted_gradient(undistorted(seen, lens), lens, gradient)
     for k, unit in enumerate(step * np.eye(2)):
-        of_point = undistorted(seen + unit, lens) - undistorted(seen - unit, lens)
-        expected = (gradient * of_point.T).sum(0) / (2 * step)
+        by_point = undistorted(seen + unit, lens) - undistorted(seen - unit, lens)
+        expected = (gradient * by_point.T).sum(0) / (2 * step)
         np.testing.assert_allclose(by_seen[k], expected, atol=1e-5)
-        of_lens = undistorted(seen, lens + unit) - undistorted(seen, lens - unit)
-        expected = (gradient * of_lens.T).sum(0) / (2 * step)
+        by_coefficient = undistorted(seen, lens + unit) - undistorted(seen, lens - unit)
+        expected = (gradient * by_coefficient.T).sum(0) / (2 * step)
         np.testing.assert_allclose(by_lens[k], expected, atol=1e-5)
 
 

@@ -97,7 +97,7 @@ def test_channels_may_come_first(rgb: np.ndarray) -> None:
         (np.zeros((4, 4), complex), "is not an array of real numbers but ndarray of dtype "),
     ],
 )
-def test_what_is_no_image_names_the_argument(source: Any, words: str) -> None:
+def test_an_error_about_an_image_names_the_argument(source: Any, words: str) -> None:
     with pytest.raises(InputError, match=f"^image1 {words}"):
         load_image(source, "image1")
 
@@ -128,6 +128,10 @@ def test_pixels_of_alpha_0_are_masked(tmp_path: Path, rgb: np.ndarray, suffix: s
     assert not image.mask[:30, 40:].any() and image.mask[40:].any()
     hidden = image.pixels[~image.mask].astype(float)
     np.testing.assert_allclose(hidden - image.pixels[image.mask].mean(0), 0, atol=1.01)
+    PIL.Image.fromarray(np.dstack([rgb, 0 * alpha])).save(tmp_path / "gone.png")
+    with pytest.raises(ImageError, match=r"gone\.png has alpha 0 everywhere") as caught:
+        load_image(tmp_path / "gone.png")
+    assert caught.value.path == tmp_path / "gone.png"
 
 
 def test_alpha_of_arrays_and_tensors_is_a_mask(rgb: np.ndarray) -> None:
@@ -147,15 +151,7 @@ def test_alpha_of_arrays_and_tensors_is_a_mask(rgb: np.ndarray) -> None:
         load_image(array, "image1")
 
 
-def test_a_file_of_alpha_0_is_named(tmp_path: Path, rgb: np.ndarray) -> None:
-    path = tmp_path / "gone.png"
-    PIL.Image.fromarray(np.dstack([rgb, 0 * rgb[:, :, 0]])).save(path)
-    with pytest.raises(ImageError, match=r"gone\.png has alpha 0 everywhere") as caught:
-        load_image(path)
-    assert caught.value.path == path
-
-
-def test_an_image_in_which_nothing_can_be_matched():
+def test_a_small_or_plain_picture_cannot_be_matched() -> None:
     """Masked pixels do not count."""
     noise = np.random.default_rng(0).integers(0, 256, (40, 60, 3), np.uint8)
     assert unmatchable(Image(noise)) == ""

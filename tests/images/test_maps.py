@@ -62,7 +62,7 @@ def test_a_mask_is_joined_with_that_of_the_image() -> None:
 
 
 def test_a_mask_of_another_size_is_scaled() -> None:
-    """Of an aspect ratio within one per cent."""
+    """If its aspect ratio is the same within one per cent."""
     assert np.array_equal(_mask(USED.repeat(2, 0).repeat(2, 1)), USED)
     small = USED[::4, ::4]
     assert np.array_equal(_mask(small), small.repeat(4, 0).repeat(4, 1))
@@ -79,7 +79,7 @@ def test_a_mask_of_another_size_is_scaled() -> None:
         ([["a"]], "mask1 is not an array of real numbers"),
     ],
 )
-def test_what_is_no_mask_of_the_image_is_refused(source: object, words: str) -> None:
+def test_a_mask_that_does_not_fit_the_image_is_refused(source: object, words: str) -> None:
     with pytest.raises(InputError, match=words):
         _mask(source)
 

@@ -76,8 +76,8 @@ def test_without_hypotheses_ransac_has_the_start() -> None:
 def test_expected_errors_hold() -> None:
     """The jackknife alone, without the factor for what references have of their own errors."""
     within = []
-    for seed in range(40):
-        scene = world_scene(seed=seed, count=150)
+    for seed in range(24):
+        scene = world_scene(seed=seed, count=100)
         sights = _sights(scene, seed)
         pose = located(sights, [], EXACT, OPTIONS)
         covariance = world_covariance(sights, pose, EXACT)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from worlds import CAMERA, IMAGE, OPTIONS, WorldScene, world_scene
+from worlds import CAMERA, IMAGE, OPTIONS, PHOTO_CAMERA, WorldScene, world_scene
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import estimate_pose
@@ -57,9 +57,8 @@ def _located(scene: WorldScene, H: np.ndarray) -> Location:
     return search.location()
 
 
-@pytest.mark.parametrize(("tilt_deg", "axis_deg"), [(15, 90), (22, 40), (12, 60)])
-def test_a_slanted_print_of_the_place_is_nowhere(tilt_deg: float, axis_deg: float) -> None:
-    location = _located(world_scene(), _printed(tilt_deg, axis_deg))
+def test_a_slanted_print_of_the_place_is_nowhere() -> None:
+    location = _located(world_scene(), _printed(15, 70))
     assert location.status == "nowhere" and location.R is None
     assert location.reason.startswith("the query looks like a picture of the place: most matches")
     assert not any(image.agrees for image in location.database_images)
@@ -80,6 +79,8 @@ def test_a_cropped_or_squeezed_photograph_is_located(H: np.ndarray, told: str | 
     assert location.success and location.R is not None and location.centre is not None
     assert rotation_error_deg(location.R, scene.R) < 0.5
     assert np.linalg.norm(location.centre - scene.centre) < 0.05
+    assert location.camera is not None
+    np.testing.assert_allclose(location.camera.K, H @ PHOTO_CAMERA.K, atol=20)
     assert len(location.warnings) == (told is not None)
     if told is not None:
         assert location.warnings[0].startswith(f"the matches agree with {told}")

@@ -71,7 +71,7 @@ def test_other_pictures_and_flat_ones_do_not_align() -> None:
         assert np.isfinite(found.points1).all()
 
 
-def test_what_shifts_alone_do_not_align_is_aligned_from_shrunk_images() -> None:
+def test_starts_far_off_are_aligned_from_shrunk_images() -> None:
     """Starts off by several pixels, affinities off by a fifth, as of views far apart."""
     first, second = dense_scene.pictures()
     rng = np.random.default_rng(1)
@@ -132,7 +132,7 @@ def test_wrong_matches_go_and_the_others_have_the_surface_s_affinity() -> None:
     assert np.array_equal(found.points2, matches.points2[found.index])
 
 
-def test_what_is_no_surface_has_no_matches_and_nothing_is_nan() -> None:
+def test_matches_of_no_surface_are_left_out_and_nothing_is_nan() -> None:
     """A mirror image, too few, one that is not finite among good ones, a line, one place."""
     matches, _ = _matches(200, wrong=0)
     points1, ones = matches.points1.copy(), np.ones(200)

@@ -30,15 +30,12 @@ def test_points_between_cells_lie_on_the_surface() -> None:
 @pytest.mark.parametrize("angle", [-150.0, 0.0, 75.0])
 def test_the_map_shows_the_rotation_of_image_2(angle: float) -> None:
     """Image 2 such that it has the orientation of image 1 when it is rotated by the angle."""
-    axis = np.arange(24.0)
-    grid = np.stack(np.meshgrid(axis, axis), -1)
+    grid = dense_scene.grid(24, 24, (24, 24))
     upright = View.whole(Image(np.zeros((24, 24, 3), np.uint8)), angle).to_view(grid)
     points1 = 0.7 * upright + 20
-    matchability = np.full((24, 24), 0.9, np.float32)
-    points1[:3], matchability[:3] = 500.0, 0.1  # cells of low matchability do not count
-    found = CorrespondenceMap(
-        points1.astype(np.float32), grid.astype(np.float32), matchability, (80, 80), (24, 24)
-    )
+    points1[:3] = 500.0
+    found = dense_scene.make_map(points1, grid, ((80, 80), (24, 24)), 0.9)
+    found.matchability[:3] = 0.1  # such cells do not count
     assert rotation_between(*matchable_points(found)) == pytest.approx(angle, abs=1e-3)
     assert len(matchable_points(found)[0]) == 21 * 24
     found.matchability[:] = 0.4
@@ -63,17 +60,14 @@ def test_a_window_holds_the_points_with_a_margin() -> None:
 def test_the_map_shows_the_scale(scale: float) -> None:
     """Rotated, sheared at constant area, noisy, and wrong at low matchability."""
     rng = np.random.default_rng(0)
-    axis = np.arange(60.0)
-    grid = np.stack(np.meshgrid(5 * axis, 4 * axis), -1)  # cells of 5 by 4 pixels
+    grid = dense_scene.grid(60, 60, (300, 240))
     angle = np.radians(70)
     rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     shear = np.array([[1.25, 0.4], [0.0, 0.8]])
     points1 = grid @ (scale * rotation @ shear).T + rng.normal(0, 0.1, grid.shape)
-    matchability = np.full((60, 60), 0.9, np.float32)
-    points1[:25], matchability[:25] = rng.uniform(0, 900, (25, 60, 2)), 0.1
-    found = CorrespondenceMap(
-        points1.astype(np.float32), grid.astype(np.float32), matchability, (900, 900), (300, 240)
-    )
+    points1[:25] = rng.uniform(0, 900, (25, 60, 2))
+    found = dense_scene.make_map(points1, grid, ((900, 900), (300, 240)), 0.9)
+    found.matchability[:25] = 0.1
     assert scale_between(found) == pytest.approx(scale, rel=0.03)
     equal_fields = np.sqrt(900 * 900 / (300 * 240))
     found.matchability[:] = 0.4
@@ -82,11 +76,9 @@ def test_the_map_shows_the_scale(scale: float) -> None:
 
 def _map(seed: int = 0, side: int = 60) -> CorrespondenceMap:
     rng = np.random.default_rng(seed)
-    axis = (np.arange(side) + 0.5) * 10 - 0.5
-    grid = np.stack(np.meshgrid(axis, axis), -1).astype(np.float32)
-    points1 = grid + rng.normal(0, 3, grid.shape).astype(np.float32)
-    matchability = rng.random((side, side)).astype(np.float32)
-    return CorrespondenceMap(points1, grid, matchability, (600, 600), (600, 600))
+    grid = dense_scene.grid(side, side, (600, 600))
+    points1 = grid + rng.normal(0, 3, grid.shape)
+    return dense_scene.make_map(points1, grid, ((600, 600),) * 2, rng.random((side, side)))
 
 
 def test_confident_cells_whose_match_lies_in_image_1_are_taken_evenly_spread() -> None:

@@ -7,8 +7,6 @@ import cv2
 import dense_scene
 import numpy as np
 import pytest
-import torch
-import torch.nn.functional as F
 
 from dgc_pose.cameras.camera import Camera, TwoViews
 from dgc_pose.geometry.epipolar import sampson_distance
@@ -17,10 +15,10 @@ from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import Image
 from dgc_pose.matchers import load_engine
 from dgc_pose.matches import Matches
-from dgc_pose.matching import CorrespondenceMap
 from dgc_pose.matching.cell_consensus import EpipolarBand, likely_cells, propagate
 from dgc_pose.matching.features import (
     MOST_HYPOTHESES,
+    common_views,
     equal_scales,
     feature_matches,
     mutual_neighbours,
@@ -52,23 +50,9 @@ def _random(seed: int, rows: int, columns: int) -> NativeFeatures:
     )
 
 
-def _picture(width: int, height: int, seed: int = 0) -> np.ndarray:
-    noise = np.random.default_rng(seed).random((height // 8, width // 8, 3), np.float32)
-    planes = torch.from_numpy(noise).permute(2, 0, 1)[None]
-    smooth = F.interpolate(planes, (height, width), mode="bicubic", align_corners=False)
-    return (255 * smooth[0].permute(1, 2, 0)).clamp(0, 255).byte().contiguous().numpy()
-
-
-def _guide(points1: np.ndarray, grid: np.ndarray, size1: tuple, size2: tuple) -> CorrespondenceMap:
-    matchability = np.full(grid.shape[:2], 0.9, np.float32)
-    return CorrespondenceMap(
-        points1.astype(np.float32), grid.astype(np.float32), matchability, size1, size2
-    )
-
-
-def _grid(size: tuple[int, int], cells: int = 60) -> np.ndarray:
-    axes = [(np.arange(cells) + 0.5) * side / cells - 0.5 for side in size]
-    return np.stack(np.meshgrid(*axes), -1)
+def _picture(width: int, height: int) -> np.ndarray:
+    noise = np.random.default_rng(0).integers(0, 256, (height // 8, width // 8, 3), np.uint8)
+    return cv2.resize(noise, (width, height), interpolation=cv2.INTER_CUBIC)
 
 
 @pytest.mark.parametrize(
@@ -118,9 +102,11 @@ def test_a_rotated_picture_matches_itself(engine: TorchEngine, angle: float) -> 
     pixels = _picture(192, 160)
     rotated = View.whole(Image(pixels), angle)
     second = rotated.pixels()
-    grid = _grid(rotated.size)
-    guide = _guide(rotated.to_image(grid) + 10, grid, (192, 160), rotated.size)
-    (found,), *_ = feature_matches(engine, Image(pixels), Image(second), guide, ImageCache(), 192)
+    grid = dense_scene.grid(60, 60, rotated.size)
+    sizes = (192, 160), rotated.size
+    guide = dense_scene.make_map(rotated.to_image(grid) + 10, grid, sizes, 0.9)
+    views = common_views(Image(pixels), Image(second), guide, 192)
+    (found,) = feature_matches(engine, ImageCache(), guide, views)
     off = found.points1 - rotated.to_image(found.points2)
     if angle % 90 == 0:
         assert len(found) > 200
@@ -134,7 +120,7 @@ def test_a_rotated_picture_matches_itself(engine: TorchEngine, angle: float) -> 
 
 def test_matches_near_the_lines_of_a_hypothesis_are_near_them(engine: TorchEngine) -> None:
     """Whatever the map says, and of a wrong hypothesis near wrong lines."""
-    first, second = (Image(pixels) for pixels in dense_scene.pictures())
+    first, second = dense_scene.images()
     guide = dense_scene.noise_map()
     guide.matchability[:] = 0.0
     camera = Camera(dense_scene.K, dense_scene.SIZE)
@@ -142,8 +128,11 @@ def test_matches_near_the_lines_of_a_hypothesis_are_near_them(engine: TorchEngin
         TwoViews(camera, camera, dense_scene.R, t) for t in (dense_scene.T, np.array([0.0, 1, 0]))
     )
 
+    cache = ImageCache()
+
     def guided(hypotheses: list[TwoViews]) -> list[Matches]:
-        return feature_matches(engine, first, second, guide, ImageCache(), hypotheses=hypotheses)[0]
+        views = common_views(first, second, guide)
+        return feature_matches(engine, cache, guide, views, hypotheses)
 
     near = guided([true, wrong])[4:]
     for matches, views in zip(near, (true, wrong), strict=True):
@@ -172,12 +161,11 @@ def test_a_squeezed_picture_matches_itself_once_the_other_is_squeezed(
     size = (192, 320) if axis == 0 else (384, 160)
     pictures = [whole, whole]
     pictures[narrowed] = cv2.resize(whole, size, interpolation=cv2.INTER_AREA)
-    sizes = [(pixels.shape[1], pixels.shape[0]) for pixels in pictures]
-    grid = _grid(sizes[1])
-    guide = _guide(rescale(grid, sizes[1], sizes[0]), grid, *sizes)
-    guide.matchability[:] = 0.0
+    sizes = tuple((pixels.shape[1], pixels.shape[0]) for pixels in pictures)
+    grid = dense_scene.grid(60, 60, sizes[1])
+    guide = dense_scene.make_map(rescale(grid, sizes[1], sizes[0]), grid, sizes, 0.0)
     images = [Image(pixels) for pixels in pictures]
-    every = feature_matches(engine, *images, guide, ImageCache(), hypotheses=[])[0]
+    every = feature_matches(engine, ImageCache(), guide, common_views(*images, guide), [])
     assert len(every) == 4
     counts = []
     for matches in every:
@@ -189,7 +177,7 @@ def test_a_squeezed_picture_matches_itself_once_the_other_is_squeezed(
     assert int(np.argmax(counts)) in alike and max(counts) > 200
 
 
-def test_it_is_belief_propagation_over_the_candidates() -> None:
+def test_likely_cells_are_found_by_belief_propagation() -> None:
     rng = np.random.default_rng(0)
     rows, columns, count, width = 3, 4, 5, 6  # width: columns of the source
     candidates = rng.integers(0, 30, (rows * columns, count))

@@ -15,7 +15,7 @@ from dgc_pose.matching.key_points import LONG_SIDE, RATIO, SiftMatcher, input_si
 
 
 def test_sift_s_matches_lie_on_the_surface() -> None:
-    result = SiftMatcher().match(*(Image(pixels) for pixels in dense_scene.pictures()))
+    result = SiftMatcher().match(*dense_scene.images())
     matches = result.matches
     off = np.linalg.norm(dense_scene.points_in_image1(matches.points2) - matches.points1, axis=1)
     assert np.median(off) < 1.0 and (off < 3).mean() > 0.8 and len(matches) > 60
@@ -85,35 +85,33 @@ def _points_model(path: Path) -> Path:
     return tiny_onnx.write_model(path, nodes, weights, {"image": (1, 3, 64, 96)}, outputs)
 
 
-@pytest.fixture(scope="module")
-def images() -> tuple[Image, Image]:
-    dots = _dots()
-    return Image(dots), Image(np.roll(dots, (SHIFT[1], SHIFT[0]), (0, 1)))
+DOTS = _dots()
+IMAGES = Image(DOTS), Image(np.roll(DOTS, (SHIFT[1], SHIFT[0]), (0, 1)))
 
 
 @pytest.mark.parametrize("reliability", [False, True])
-def test_dots_are_found_where_they_are(images, tmp_path, reliability) -> None:
+def test_dots_are_found_where_they_are(tmp_path, reliability) -> None:
     matcher = load_matcher(_grid_model(tmp_path / "dots.onnx", reliability=reliability))
-    matches = matcher.match(*images).matches
+    matches = matcher.match(*IMAGES).matches
     assert matcher.name == "dots" and len(matcher.fingerprint) == 16
     assert matches.key_points and matches.error_px == 1.0
     assert len(matches) > 300 and (matches.confidence > 0.5).all()
     right = (matches.points2 - matches.points1 == SHIFT).all(1)
     assert right.mean() > 0.95  # those at the edge, rolled in, have no partner
     x, y = matches.points1.astype(int).T
-    assert (images[0].pixels[y, x] == 255).all()
+    assert (IMAGES[0].pixels[y, x] == 255).all()
 
 
-def test_a_larger_image_is_shrunk_and_its_points_are_in_its_own_pixels(images, tmp_path) -> None:
-    large = [Image(np.kron(image.pixels, np.ones((8, 8, 1), np.uint8))) for image in images]
+def test_a_larger_image_is_shrunk_and_its_points_are_in_its_own_pixels(tmp_path) -> None:
+    large = [Image(np.kron(image.pixels, np.ones((8, 8, 1), np.uint8))) for image in IMAGES]
     matches = load_matcher(_grid_model(tmp_path / "dots.onnx")).match(*large).matches
     assert matches.error_px == 2.0 and len(matches) > 100
     off = matches.points2 - matches.points1 - np.multiply(8, SHIFT)
     assert np.median(np.abs(off)) <= 2
 
 
-def test_points_as_they_are_in_the_image_s_pixels(images, tmp_path) -> None:
-    matches = load_matcher(_points_model(tmp_path / "three.onnx")).match(*images).matches
+def test_points_as_they_are_in_the_image_s_pixels(tmp_path) -> None:
+    matches = load_matcher(_points_model(tmp_path / "three.onnx")).match(*IMAGES).matches
     scale = np.divide((256, 192), (96, 64))
     expected = (np.array([[10, 20], [30, 40], [50, 45]]) + 0.5) * scale - 0.5
     np.testing.assert_allclose(matches.points1, expected)

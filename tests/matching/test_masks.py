@@ -35,15 +35,10 @@ def _bars(seed: int, size: np.ndarray) -> np.ndarray:
     return np.broadcast_to(np.searchsorted(edges, np.arange(size[0])) % 5 > 1, size[::-1]).copy()
 
 
-@pytest.fixture(scope="module")
-def plain() -> list[Image]:
-    return [Image(pixels) for pixels in dense_scene.pictures()]
-
-
-@pytest.fixture(scope="module")
-def images(plain: list[Image]) -> list[Image]:
-    size = np.array(dense_scene.SIZE)
-    return [masked(image, _bars(seed, size)) for seed, image in enumerate(plain)]
+PLAIN = dense_scene.images()
+IMAGES = [
+    masked(image, _bars(seed, np.array(dense_scene.SIZE))) for seed, image in enumerate(PLAIN)
+]
 
 
 def test_every_pixel_counts_on_images_of_any_size() -> None:
@@ -61,31 +56,29 @@ def test_every_pixel_counts_on_images_of_any_size() -> None:
     np.testing.assert_array_equal(matches.points2, all_matches.points2[kept])
 
 
-@pytest.mark.parametrize("min_aligned", [100, 10_000])
-def test_no_step_of_the_network_matches_masked_pixels(
-    plain: list[Image], images: list[Image], monkeypatch: pytest.MonkeyPatch, min_aligned: int
-) -> None:
+def test_no_step_of_the_network_matches_masked_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of aligned matches, and where those that agree complete them."""
-    monkeypatch.setattr(network_matcher, "MIN_ALIGNED", min_aligned)
     hypotheses = [TwoViews(CAMERA, CAMERA, dense_scene.R, dense_scene.T)]
     matcher = load_matcher()
     assert isinstance(matcher, NetworkMatcher)
     steps = []
-    for pair in (images, plain):
+    for pair, min_aligned in ((IMAGES, 100), (IMAGES, 10_000), (PLAIN, 100)):
+        monkeypatch.setattr(network_matcher, "MIN_ALIGNED", min_aligned)
         coarse, full = matcher.coarse(*pair), matcher.match(*pair)
         assert coarse is not None
         results = coarse, matcher.refined(*pair, coarse), full
         steps.append([*results, matcher.guided(*pair, full, hypotheses)])
-    for result, other in zip(*steps, strict=True):
-        assert result is not None and other is not None
-        _assert_none_masked(result.matches, *images)
-        assert len(result.matches) > 50
-        assert _on_masked(other.matches.points2, images[1]).mean() > 0.2
+    for *found, other in zip(*steps, strict=True):
+        for result in found:
+            assert result is not None
+            _assert_none_masked(result.matches, *IMAGES)
+            assert len(result.matches) > 50
+        assert other is not None and _on_masked(other.matches.points2, IMAGES[1]).mean() > 0.2
 
 
-def test_masked_cells_are_no_evidence(plain: list[Image], images: list[Image]) -> None:
+def test_masked_cells_are_no_evidence() -> None:
     """A map that is wrong in masked areas alone speaks for the pose as the true one does."""
-    both, true = (plain[0], images[1]), dense_scene.true_map()
+    both, true = (PLAIN[0], IMAGES[1]), dense_scene.true_map()
     hidden = _on_masked(true.grid.reshape(-1, 2), both[1]).reshape(true.matchability.shape)
     noise = np.random.default_rng(0).random(true.map.shape) * dense_scene.SIZE - 0.5
     wrong = replace(true, map=np.where(hidden[..., None], noise, true.map).astype(np.float32))
@@ -100,4 +93,4 @@ def test_masked_cells_are_no_evidence(plain: list[Image], images: list[Image]) -
     dense = true.masked(*both)
     assert dense.used is not None and np.array_equal(dense.used, ~hidden)
     assert dense.mean_matchability == pytest.approx(true.matchability[~hidden].mean(), rel=1e-4)
-    assert not dense.matchability[hidden].any() and true.masked(*plain) is true
+    assert not dense.matchability[hidden].any() and true.masked(*PLAIN) is true

@@ -29,25 +29,20 @@ from dgc_pose.runtime.engine import NativeFeatures
 SIZE = (320, 240)
 
 
-@pytest.fixture(scope="module")
-def photograph() -> Image:
-    return Image(dense_scene.pictures()[0])
-
-
 def _blank(kind: BlankKind) -> Image:
     """An image without structure."""
     return Image(blank(kind, SIZE, np.random.default_rng([0, BLANKS.index(kind)])))
 
 
 @pytest.mark.parametrize("source", ["map", "sift"])
-def test_no_source_gives_a_match_or_a_pose(source: str, photograph: Image) -> None:
+def test_no_source_gives_a_match_or_a_pose(source: str) -> None:
     """A map that is sure of every pixel of any two images, and key points."""
     dense = dense_scene.true_map()
     sure = replace(dense, matchability=np.ones_like(dense.matchability))
     matcher = SiftMatcher() if source == "sift" else dense_scene.MapMatcher(sure)
     camera = Camera(dense_scene.K, SIZE)
     for kind in BLANKS:
-        matches = matcher.match(_blank(kind), photograph).matches
+        matches = matcher.match(_blank(kind), dense_scene.images()[0]).matches
         assert len(matches) < 20, (kind, len(matches))
         pose = estimate_pose(matches, camera, camera, EstimationOptions(runs=1, iterations=50))
         assert pose.R is None and not pose.success, kind
@@ -132,7 +127,7 @@ INSIDE = np.zeros(SIDES[::-1], bool)
 INSIDE[12:28, 20:40] = True
 
 
-def test_what_surrounds_matches_is_as_alike_as_they_are_unless_only_a_part_is():
+def test_surroundings_are_as_alike_as_the_matches_unless_only_a_part_is_shared():
     share = context_ratio(_views(0), [WITH_TEXTURE] * 2, _matches(INSIDE))
     assert share is not None and 0.95 < share < 1.05
     views = _views(0, np.pad(INSIDE[1:-1, 1:-1], 1))

@@ -52,7 +52,7 @@ def vismatch(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("vismatch")
-def test_its_matches_are_ours(capsys: pytest.CaptureFixture[str]) -> None:
+def test_matches_of_vismatch_are_ours(capsys: pytest.CaptureFixture[str]) -> None:
     images = [Image(view.pixels) for view in render_views(2)]
     matcher = load_matcher("vismatch:orb-nn", device="cpu")
     matches = matcher.match(images[0], images[1]).matches

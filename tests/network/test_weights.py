@@ -27,7 +27,7 @@ def _random_net(name: str) -> DGCNet:
 
 
 @pytest.mark.parametrize(("name", "prefix"), [("dgc", "module."), ("dgcm", "")])
-def test_authors_checkpoints_load_and_give_the_same(tmp_path, name, prefix):
+def test_authors_checkpoints_are_loaded_whole(tmp_path, name, prefix):
     """Those of one have no counters of batches."""
     net = _random_net(name)
     counter = "num_batches_tracked"
@@ -37,11 +37,10 @@ def test_authors_checkpoints_load_and_give_the_same(tmp_path, name, prefix):
     loaded = load_network(path)
     assert loaded.config.name == name
     assert not loaded.training and not any(p.requires_grad for p in loaded.parameters())
-    source, target = torch.randn(2, 1, 3, 240, 240, generator=torch.Generator().manual_seed(11))
-    with torch.no_grad():
-        outputs = [each(source, target) for each in (loaded, net)]
-    for a, b in zip(*(out.maps + out.logits for out in outputs), strict=True):
-        assert torch.equal(a, b)
+    own = loaded.state_dict()
+    assert own.keys() == net.state_dict().keys()
+    for key, value in net.state_dict().items():
+        assert key.endswith(counter) or torch.equal(own[key], value), key
 
 
 def test_own_weights_survive_the_disk_at_half_precision(tmp_path):
@@ -91,7 +90,7 @@ def test_the_first_differing_keys_are_named(tmp_path):
 
 
 @pytest.mark.parametrize("name", shipped())
-def test_each_of_those_shipped_loads_in_half_precision_and_has_a_card(name):
+def test_shipped_weights_load_in_half_precision_and_have_a_card(name):
     folder = resources.files("dgc_pose") / "weights"
     net = load_network(name)
     assert name in PRESETS and net.config == PRESETS[name]

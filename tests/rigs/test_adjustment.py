@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import PIL.Image
@@ -20,6 +21,13 @@ from dgc_pose.rigs.adjustment import adjusted, bundle_camera, extended, start_ca
 
 CAMERA = Camera(np.array([[700.0, 0, 410], [0, 700, 290], [0, 0, 1]]), (800, 600))
 NOISE_PX, STDS = 0.1, np.repeat([5e-4, 3e-3], 3)  # of the located poses: radians and units
+
+
+def synthetic(images: int, points: int, **options: Any) -> pycolmap.Reconstruction:
+    """COLMAP's own synthetic model."""
+    pycolmap.set_random_seed(0)
+    counts = {"num_rigs": 1, "num_frames_per_rig": images, "num_points3D": points}
+    return pycolmap.synthesize_dataset(pycolmap.SyntheticDatasetOptions(**counts, **options))
 
 
 def turned(R: np.ndarray, rng: np.random.Generator, std: float) -> np.ndarray:
@@ -65,11 +73,7 @@ def test_the_adjusted_poses_are_nearer_to_the_truth(
 ) -> None:
     """An exact K stays, another is fitted; the walk keeps its cameras, and wrong observations bend
     nothing. Matches and cameras of the walk are upright, and COLMAP's model is as stored."""
-    pycolmap.set_random_seed(0)
-    options = pycolmap.SyntheticDatasetOptions()
-    options.num_rigs, options.num_frames_per_rig, options.num_points3D = 1, 8, 400
-    options.camera_params = [1280, 490, 400, 0.05]
-    colmap = pycolmap.synthesize_dataset(options)
+    colmap = synthetic(8, 400, camera_params=[1280, 490, 400, 0.05])
     exif = PIL.Image.Exif()
     exif[ExifTags.Base.Orientation] = orientation
     for image in colmap.images.values():
@@ -88,16 +92,19 @@ def test_the_adjusted_poses_are_nearer_to_the_truth(
     whole, _, found = adjusted(walk, located, pictures, walk.cameras)
     errors = []
     for name, (true, near) in cameras.items():
-        of, image = found[name], whole.find_image_with_name(pictures[name].name)
-        for each in (near, of):
+        location = found[name]
+        image = whole.find_image_with_name(pictures[name].name)
+        for each in (near, location):
             off = np.linalg.norm(each.centre - true.centre)
             errors.append((rotation_error_deg(each.R, true.R), off))
-        np.testing.assert_allclose(image.cam_from_world().matrix(), of.cam_from_world, atol=1e-12)
-        assert image.num_points3D > 60 and of.camera.exact == exact
+        np.testing.assert_allclose(
+            image.cam_from_world().matrix(), location.cam_from_world, atol=1e-12
+        )
+        assert image.num_points3D > 60 and location.camera.exact == exact
         # A principal point that is not known by 2 pixels turns the camera.
-        assert errors[-1][0] < of.rotation_error_90_deg < (0.1 if exact else 0.5)
-        assert errors[-1][1] < of.position_error_90
-        np.testing.assert_allclose(of.camera.K, CAMERA.K, atol=1e-9 if exact else 1.5)
+        assert errors[-1][0] < location.rotation_error_90_deg < (0.1 if exact else 0.5)
+        assert errors[-1][1] < location.position_error_90
+        np.testing.assert_allclose(location.camera.K, CAMERA.K, atol=1e-9 if exact else 1.5)
     before, after = (np.mean(errors[first::2], axis=0) for first in (0, 1))
     assert after[0] < (0.4 if exact else 0.7) * before[0]
     assert after[1] < (0.4 if exact else 1.5) * before[1]  # a focal length trades with the centre
@@ -109,10 +116,7 @@ def test_the_adjusted_poses_are_nearer_to_the_truth(
 def test_a_photograph_of_the_walk_may_have_the_name_of_a_camera(tmp_path: Path) -> None:
     """Also where COLMAP's order of the images, which depends on their number, has the camera last:
     the name changes nothing."""
-    pycolmap.set_random_seed(0)
-    options = pycolmap.SyntheticDatasetOptions()
-    options.num_rigs, options.num_frames_per_rig, options.num_points3D = 1, 12, 200
-    model = pycolmap.synthesize_dataset(options)
+    model = synthetic(12, 200)
     for image in model.images.values():
         image.name = Path(image.name).name
     walk = Model.of_colmap(model, tmp_path)
@@ -133,9 +137,7 @@ def test_a_photograph_of_the_walk_may_have_the_name_of_a_camera(tmp_path: Path) 
 def test_photographs_with_one_file_name_keep_their_poses(tmp_path: Path, folder: str) -> None:
     """A photograph without a file has no pose, even if another has its file name. COLMAP's names
     may be paths from another folder than that of the photographs."""
-    options = pycolmap.SyntheticDatasetOptions()
-    options.num_rigs, options.num_frames_per_rig, options.num_points3D = 1, 4, 50
-    colmap = pycolmap.synthesize_dataset(options)
+    colmap = synthetic(4, 50)
     names = ["a/1.jpg", "b/1.jpg", "c/1.jpg", "c/2.jpg"]
     for number, name in zip(sorted(colmap.images), names, strict=True):
         colmap.images[number].name = folder + name

@@ -119,7 +119,7 @@ def test_frames_of_a_camera_that_was_moved_are_left_out(tmp_path: Path) -> None:
     assert stills.bad["door"].endswith(", and no position has most of the 5 frames")
 
 
-def test_names_with_blanks_dots_and_composed_letters(tmp_path: Path) -> None:
+def test_names_may_have_blanks_dots_and_composed_letters(tmp_path: Path) -> None:
     """A folder has no ending. A name may be stored with its letters decomposed, as macOS does, and
     one that is no UTF-8 fits into no file of a rig."""
     rig = tmp_path / "rig"

@@ -90,8 +90,8 @@ def test_nothing_is_written_for_what_is_refused(
 ) -> None:
     frames = tmp_path / "frames"
     frames.mkdir()
-    for number, name in enumerate(names.split()):
-        (frames / write_views(frames, [render_views(2)[number]])[0]).rename(frames / f"{name}.png")
+    for name, view in zip(names.split(), render_views(2), strict=False):
+        (frames / write_views(frames, [view])[0]).rename(frames / f"{name}.png")
     before = contents(tmp_path)
     with pytest.raises(InputError, match=why):
         fixed_cameras(frames, tmp_path / "out", None, known, ReconstructionOptions(scale=scale))

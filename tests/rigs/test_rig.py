@@ -37,6 +37,7 @@ CENTRES = {"north": (-0.7, -0.5, 0.3), "south": (0.8, -0.3, -0.4), "west": (0.1,
 CENTRES["zoo"] = CENTRES["west"]  # in another scene
 TRUE = {name: (look_at(np.array(c), np.array([0, 0.2, 4.6])), c) for name, c in CENTRES.items()}
 FAST = EstimationOptions(effort="fast", runs=1, iterations=300)
+RESULTS = {"rig_pictures", "sparse", "points.ply"}
 QUICK = {"estimation": FAST, "work": BatchOptions(workers=1)}
 
 
@@ -54,8 +55,8 @@ def walk_model(folder: Path, second: str = "view1.png") -> Model:
     """Three photographs with their true poses."""
     model = known_model(folder, render_views(3, step=0.8))
     (folder / "view1.png").rename(folder / second)
-    for of_images in (model.poses, model.cameras):
-        of_images[second] = of_images.pop("view1.png")
+    for facts in (model.poses, model.cameras):
+        facts[second] = facts.pop("view1.png")
     return model
 
 
@@ -63,26 +64,27 @@ def assert_true(rig: Rig, names: str, frame: pycolmap.Sim3d) -> None:
     """The placed cameras are where they were rendered, within three times the stated errors.
     frame: from the world to that of the rig."""
     assert [*rig.placed] == names.split(), rig.cameras
-    for name, of in rig.placed.items():
-        off_deg = rotation_error_deg(of.R @ frame.rotation.matrix(), TRUE[name][0])
-        assert off_deg < 3 * of.rotation_error_90_deg < 6
-        off = np.linalg.norm(of.centre - frame * np.array(TRUE[name][1]))
-        assert off < 3 * of.position_error_90 < frame.scale
-        assert of.camera.size == SIZE and of.probability > 0.9
+    for name, camera in rig.placed.items():
+        off_deg = rotation_error_deg(camera.R @ frame.rotation.matrix(), TRUE[name][0])
+        assert off_deg < 3 * camera.rotation_error_90_deg < 6
+        off = np.linalg.norm(camera.centre - frame * np.array(TRUE[name][1]))
+        assert off < 3 * camera.position_error_90 < frame.scale
+        assert camera.camera.size == SIZE and camera.probability > 0.9
 
 
 @pytest.fixture(scope="module")
 def placed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Rig]:
     folder = tmp_path_factory.mktemp("rig")
     frames = write_cameras(folder / "frames", "north", "south", "zoo")
-    walk, known = walk_model(folder / "walk"), {"south": K, "zoo": K}
+    walk, known = walk_model(folder / "walk", "north.png"), {"south": K, "zoo": K}
     metres = ReconstructionOptions(scale="north,south,3.0")
     made = estimate_rig(frames, folder / "out", walk, K=known, reconstruction=metres, **QUICK)
     return folder, made
 
 
 def test_cameras_are_placed_in_a_model_in_metres(placed: tuple[Path, Rig]) -> None:
-    """Also one without a K; a K that is given stays. A camera of another scene has the reason."""
+    """Also one without a K; a K that is given stays. A camera of another scene has the reason, and
+    a photograph of the walk may have the name of a camera's picture."""
     rig = placed[1]
     assert (rig.metric["unit"], rig.warnings) == ("m", ())
     scale = 3.0 / np.linalg.norm(np.subtract(CENTRES["north"], CENTRES["south"]))
@@ -92,62 +94,50 @@ def test_cameras_are_placed_in_a_model_in_metres(placed: tuple[Path, Rig]) -> No
     np.testing.assert_array_equal(south.camera.K, K)
     assert south.camera.exact and not north.camera.exact
     assert abs(north.camera.focal / 180 - 1) < 3 * north.camera.focal_std < 0.1
-    assert zoo.centre is None and "pictures between zoo and view" in zoo.reason
+    assert zoo.centre is None and "pictures between zoo and " in zoo.reason
 
 
 def test_the_model_is_written_but_not_over_another(placed: tuple[Path, Rig]) -> None:
     folder, rig = placed
     out = folder / "out"
-    assert {path.name for path in out.iterdir()} == {"rig_pictures", "sparse", "points.ply"}
+    assert {path.name for path in out.iterdir()} == RESULTS
     model = load_model(out / "sparse", rig.model.root)
-    for name, of in rig.placed.items():
+    for name, camera in rig.placed.items():
         stored = f"out/rig_pictures/cameras/{name}.png"
-        np.testing.assert_allclose(model.poses[stored], of.cam_from_world, atol=1e-9)
-        np.testing.assert_allclose(model.cameras[stored].K, of.camera.K, atol=1e-9)
+        np.testing.assert_allclose(model.poses[stored], camera.cam_from_world, atol=1e-9)
+        np.testing.assert_allclose(model.cameras[stored].K, camera.camera.K, atol=1e-9)
     assert sum(name.startswith("walk/") for name in model.poses) == 3 and len(model.poses) == 5
     with pytest.raises(InputError, match="sparse exists already: resume continues"):
         estimate_rig(folder / "frames", out, folder / "walk", **QUICK)
 
 
-def test_metres_without_a_camera_leave_the_rig_up_to_scale(tmp_path: Path) -> None:
-    """It is known only after the matching."""
-    frames = write_cameras(tmp_path / "frames", "north", "south", "zoo")
-    walk, known = walk_model(tmp_path / "walk"), {"north": K, "south": K, "zoo": K}
-    metres = ReconstructionOptions(scale="north,zoo,3.0")
-    rig = estimate_rig(frames, tmp_path / "out", walk, K=known, reconstruction=metres, **QUICK)
-    assert str(rig.not_in_metres) == "scale names zoo, which has no place" and not rig.metric
-    assert_true(rig, "north south", pycolmap.Sim3d())
-    assert (tmp_path / "out" / "sparse" / "cameras.bin").is_file()
-
-
 @pytest.mark.parametrize(
     ("options", "why"),
     [
-        ({"marker": 0.2}, "^marker finds no marker in two of the 5 images$"),
-        ({"gps": True}, "^gps needs 3 positions, and 0 of 5 photographs have a GPS position$"),
-        ({"scale": "north,east,3"}, "^scale must be two of the 2 images .*'north,east,3'$"),
+        ({"marker": 0.2}, "^marker finds no marker in two of the 6 images$"),
+        ({"gps": True}, "^gps needs 3 positions, and 0 of 6 photographs have a GPS position$"),
+        ({"scale": "north,east,3"}, "^scale must be two of the 3 images .*'north,east,3'$"),
     ],
 )
 def test_no_metres_are_told_before_the_matching(
-    tmp_path: Path, options: dict[str, object], why: str
+    placed: tuple[Path, Rig], options: dict[str, object], why: str
 ) -> None:
     """The results of an earlier run stay."""
-    frames, out = write_cameras(tmp_path / "frames", "north", "south"), tmp_path / "out"
-    write_views(tmp_path / "walk", render_views(3))
-    out.mkdir()
-    (out / "rig.json").write_text("{}")
+    folder, _ = placed
     again = QUICK | {"work": BatchOptions(workers=1, resume=True)}
     metres = ReconstructionOptions(**options)
     with pytest.raises(InputError, match=why):
-        estimate_rig(frames, out, tmp_path / "walk", reconstruction=metres, **again)
-    assert {path.name for path in out.iterdir()} <= {"rig.json", "rig_pictures"}
-    assert (out / "rig.json").read_text() == "{}"
+        estimate_rig(
+            folder / "frames", folder / "out", folder / "walk", reconstruction=metres, **again
+        )
+    assert {path.name for path in (folder / "out").iterdir()} == RESULTS
 
 
 def test_a_batch_that_is_refused_leaves_the_results(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The results are those of an earlier run; one that ends without a model removes them."""
+    """The results are those of an earlier run; one that ends without a model, as cameras that
+    share nothing have none, removes them."""
 
     def refuse(*_: object, **__: object) -> None:
         raise InputError("other settings")
@@ -166,8 +156,10 @@ def test_a_batch_that_is_refused_leaves_the_results(
     assert all(path.exists() for path in earlier)
     rig = estimate_rig(frames, out, **again)
     assert rig.model is None and not any(path.exists() for path in earlier)
+    assert not rig.placed and [*rig.cameras] == ["north", "zoo"]
     reason = "the cameras' own pictures make no model (0 of 1 pairs have a pose, 1 "
-    assert rig.cameras["zoo"].reason.startswith(reason)
+    for camera in rig.cameras.values():
+        assert camera.reason.startswith(reason) and "photographs" in camera.reason
 
 
 def test_the_mask_of_a_camera_is_not_that_of_a_photograph(
@@ -198,17 +190,8 @@ def test_the_mask_of_a_camera_is_not_that_of_a_photograph(
     assert len(seen) and seen[:, 1].max() < 150
 
 
-def test_cameras_that_share_nothing_have_no_place(tmp_path: Path) -> None:
-    frames = write_cameras(tmp_path / "frames", "north", "zoo")
-    rig = estimate_rig(frames, tmp_path / "out", K={"north": K, "zoo": K}, **QUICK)
-    assert rig.model is None and not rig.placed and [*rig.cameras] == ["north", "zoo"]
-    assert all("photographs" in of.reason for of in rig.cameras.values())
-
-
-@pytest.mark.parametrize("walked", [False, True])
-def test_without_a_model_each_camera_has_a_reason(tmp_path: Path, *, walked: bool) -> None:
-    """Bad pictures have their own, whether there is a walk or not; a bad one of the walk is told.
-    Bad pictures alone have theirs."""
+def test_without_a_model_each_camera_has_a_reason(tmp_path: Path) -> None:
+    """Bad pictures have their own, with a walk or alone; a bad one of the walk is told."""
     bad = [path for path in write_bad_pictures(tmp_path / "frames") if path.exists()]
     sift = QUICK | {"matcher": MatcherOptions("sift")}
     alone = estimate_rig(tmp_path / "frames", tmp_path / "none", **sift)
@@ -219,11 +202,10 @@ def test_without_a_model_each_camera_has_a_reason(tmp_path: Path, *, walked: boo
     scale = ReconstructionOptions(scale="north,empty,3.0")
     with pytest.raises(InputError, match=r"^scale names empty, whose picture .*empty\.jpg: empty$"):
         estimate_rig(tmp_path / "frames", tmp_path / "none", reconstruction=scale, **sift)
-    walk = tmp_path / "walk" if walked else None
-    if walk is not None:
-        write_bad_pictures(walk)
-        for number in (1, 2):
-            cv2.imwrite(str(walk / f"{number}.png"), pixels[number])
+    walk = tmp_path / "walk"
+    write_bad_pictures(walk)
+    for number in (1, 2):
+        cv2.imwrite(str(walk / f"{number}.png"), pixels[number])
     known = {"north": K, "text": K, "grey": K}
     rig = estimate_rig(tmp_path / "frames", tmp_path / "out", walk, K=known, **sift)
     assert rig.model is None and {*rig.cameras} == {"north"} | {path.stem for path in bad}
@@ -231,47 +213,43 @@ def test_without_a_model_each_camera_has_a_reason(tmp_path: Path, *, walked: boo
         location = rig.cameras[path.stem]
         assert location.status == "bad_input" and BAD_PICTURES[path.name] in location.reason
     assert rig.cameras["north"].status == "nowhere"
-    why = "the walk makes no model" if walked else "the cameras' own pictures make no model"
-    assert why in rig.cameras["north"].reason
+    assert "the walk makes no model" in rig.cameras["north"].reason
     told = [name for name in BAD_PICTURES if any(name in line for line in rig.warnings)]
-    assert told == [path.name for path in bad] * walked
+    assert told == [path.name for path in bad]
 
 
-def test_a_photograph_may_have_the_name_of_a_picture(tmp_path: Path) -> None:
-    frames = write_cameras(tmp_path / "frames", "north", "south")
-    walk = walk_model(tmp_path / "walk", "north.png")
-    rig = estimate_rig(frames, tmp_path / "out", walk, K={"south": K}, **QUICK)
-    assert_true(rig, "north south", pycolmap.Sim3d())
-
-
-def test_an_image_of_the_model_that_cannot_be_read_is_told(tmp_path: Path) -> None:
-    """It counts not among those of which two must agree with a camera, or all but one."""
-    frames = write_cameras(tmp_path / "frames", "north", "south")
-    walk = walk_model(tmp_path / "walk")
+def test_a_camera_and_a_photograph_that_are_of_no_use_are_told(tmp_path: Path) -> None:
+    """Metres between cameras of which one has no place, which is known only after the matching,
+    leave the rig up to scale. An image of the model that cannot be read counts not among those of
+    which two must agree with a camera, or all but one."""
+    frames = write_cameras(tmp_path / "frames", "north", "south", "zoo")
+    walk, known = walk_model(tmp_path / "walk"), dict.fromkeys(("north", "south", "zoo"), K)
     path = tmp_path / "walk" / "view0.png"
     path.write_bytes(path.read_bytes()[:-9000])
-    rig = estimate_rig(frames, tmp_path / "out", walk, K={"north": K, "south": K}, **QUICK)
+    metres = ReconstructionOptions(scale="north,zoo,3.0")
+    rig = estimate_rig(frames, tmp_path / "out", walk, K=known, reconstruction=metres, **QUICK)
+    assert str(rig.not_in_metres) == "scale names zoo, which has no place" and not rig.metric
+    assert_true(rig, "north south", pycolmap.Sim3d())
+    assert (tmp_path / "out" / "sparse" / "cameras.bin").is_file()
     (warning,) = rig.warnings
     assert warning.startswith(f"{path} is corrupt")
-    assert {location.status for location in rig.cameras.values()} == {"located"}
     north = rig.cameras["north"]
     one, two = north.database_images
     assert {one.name, two.name} == {"view1.png", "view2.png"} and one.agrees and two.agrees
     alone = replace(north, database_images=(one, replace(two, agrees=False)))
     whole = SimpleNamespace(model=walk, bad={})
     assert _checked(alone, "north", whole).status == "nowhere"
-    assert (
-        _checked(alone, "north", SimpleNamespace(model=walk, bad={path.name: "corrupt"})) is alone
-    )
+    corrupt = SimpleNamespace(model=walk, bad={path.name: "corrupt"})
+    assert _checked(alone, "north", corrupt) is alone
 
 
 def frame_of(poses: dict[str, np.ndarray], true: dict[str, np.ndarray]) -> pycolmap.Sim3d:
     """From the world to a model's frame, by all rotations and the spread of the centres."""
     turns = [poses[n][:, :3].T @ true[n][:, :3] for n in true]
     turn = Rotation.from_matrix(turns).mean().as_matrix()
-    of = [np.stack([-p[n][:, :3].T @ p[n][:, 3] for n in true]) for p in (true, poses)]
-    before, after = (float(np.linalg.norm(at - at.mean(0))) for at in of)
-    shift = of[1].mean(0) - after / before * turn @ of[0].mean(0)
+    centres = [np.stack([-p[n][:, :3].T @ p[n][:, 3] for n in true]) for p in (true, poses)]
+    before, after = (float(np.linalg.norm(at - at.mean(0))) for at in centres)
+    shift = centres[1].mean(0) - after / before * turn @ centres[0].mean(0)
     return pycolmap.Sim3d(after / before, pycolmap.Rotation3d(turn), shift)
 
 

@@ -68,7 +68,7 @@ def test_features_are_torch_s(engines, pictures):
         np.testing.assert_allclose(own, other, atol=1e-4)
 
 
-def test_one_s_own_weights_of_a_preset_run_too(tmp_path, pictures):
+def test_own_weights_of_a_preset_run_too(tmp_path, pictures):
     """Batch norms whose statistics and factors are not 0 and 1 are folded as torch folds them."""
     torch.manual_seed(3)
     net = DGCNet(preset("dgcm-lite0")).eval()
@@ -148,11 +148,15 @@ def test_features_are_those_of_the_net():
 
 
 def test_every_tensor_is_on_the_device_of_the_network(monkeypatch):
-    """Operations on tensors of two devices are refused, on one without numbers too."""
+    """Operations on tensors of two devices are refused, on one without numbers too. Maps come at
+    five sizes, and the mask of dgcm at the last one."""
     monkeypatch.setattr(torch, "autocast", lambda *_, **__: nullcontext())
     with torch.inference_mode():
-        for name, shape in (("dgcm-lite0", (96, 128)), ("dgcm", (240, 240))):
+        for name, (height, width) in (("dgcm-lite0", (96, 128)), ("dgcm", (240, 240))):
             net = DGCNet(preset(name)).eval().to("meta")
-            prediction = net(*torch.rand(2, 1, 3, *shape, device="meta"))
+            prediction = net(*torch.rand(2, 1, 3, height, width, device="meta"))
             assert all(part.is_meta for part in prediction.maps + prediction.logits)
-            assert prediction.maps[-1].shape == (1, 2, *shape)
+            sizes = [(height // k, width // k) for k in (16, 8, 4, 2, 1)]
+            assert [part.shape for part in prediction.maps] == [(1, 2, *size) for size in sizes]
+            masks = sizes[-1:] if name == "dgcm" else sizes
+            assert [part.shape for part in prediction.logits] == [(1, 1, *size) for size in masks]

@@ -69,7 +69,7 @@ def poses(client, first, second, camera):
 
 
 @pytest.mark.parametrize("path", ["/images", "/poses"])
-def test_others_are_refused(client, folder, path):
+def test_requests_of_other_pages_are_refused(client, folder, path):
     before = sorted(folder.iterdir())
     for name, value, words in (
         ("host", "evil.example:8000", "its own name"),
@@ -239,7 +239,7 @@ def test_a_failure_is_one_line():
             asyncio.run(in_turn(ThreadPoolExecutor(1), fail, error, seconds=60))
 
 
-def test_what_is_given_up_does_not_begin_and_the_next_call_waits_for_what_has_begun(held):
+def test_an_abandoned_call_does_not_begin_and_the_next_one_waits(held):
     async def calls():
         thread, begun = ThreadPoolExecutor(1), threading.Event()
         with pytest.raises(WorkError, match=r"^stopped after 0\.1 seconds$"):

@@ -40,7 +40,7 @@ def test_errors_of_the_writing_have_the_outputs_name(tmp_path):
 
 
 @pytest.mark.parametrize("paths", [[""], ["."], ["/dev/null"], ["a.txt", "./a.txt"]])
-def test_what_is_no_output_is_refused(tmp_path, monkeypatch, paths):
+def test_a_folder_a_device_or_one_file_twice_is_refused_as_output(tmp_path, monkeypatch, paths):
     monkeypatch.chdir(tmp_path)
     with (
         pytest.raises(InputError, match="is a folder or a device|are the same file"),

@@ -53,7 +53,7 @@ def folder(tmp_path):
     return tmp_path / "photos"
 
 
-def test_the_name_alone_decides_who_validates_and_of_few_it_is_one(folder):
+def test_a_photograph_is_held_back_by_its_name_and_one_of_few_always_is(folder):
     (folder / "broken.jpg").write_bytes(b"no photograph")
     training, held_back = load_photos(folder)
     assert training.single + held_back.single == 60 and 1 <= held_back.single < 12

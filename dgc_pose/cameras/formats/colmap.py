@@ -23,6 +23,7 @@ import numpy as np
 from dgc_pose.cameras import colmap_camera
 from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.formats.opened import CameraFile
 from dgc_pose.cameras.pair_list import PairList
 from dgc_pose.errors import InputError, shortened
 from dgc_pose.geometry.pixels import Size
@@ -53,6 +54,18 @@ _IMAGES = """
 _FILES = ("cameras", "images", "points3D", "rigs", "frames")  # of a model, without endings
 Table = Literal["matches", "two_view_geometries"]  # of a database, with matches by pair
 _MAX_IMAGES = 2**31 - 1  # COLMAP's pair_id is id1 * _MAX_IMAGES + id2
+
+
+def read(file: CameraFile) -> Calibration | None:
+    """The cameras of a model's folder, cameras.txt or cameras.bin, or the camera of a single line
+    without an id; None for another file."""
+    if file.path.is_dir() or file.ending == ".bin":
+        return read_model(file.path)[0]
+    if file.has_data or not is_line(file.lines[0]):
+        return None
+    if file.lines[0].split()[0].isdecimal():
+        return read_model(file.path)[0]
+    return Calibration(common=parse_line(file.lines[0])) if len(file.lines) == 1 else None
 
 
 def is_line(text: str) -> bool:
@@ -92,9 +105,11 @@ def read_model(path: Path, whole: bool = False) -> tuple[Calibration, pycolmap.R
         if not files:
             raise InputError(path, "holds no cameras.txt and no cameras.bin")
         path = files[0]
+
     is_text = path.suffix.lower() != ".bin"
     wanted = {stem: path.with_name(stem + (".txt" if is_text else ".bin")) for stem in _FILES}
     wanted |= {"cameras": path}
+
     with read_as("a COLMAP model", path.parent), scratch_folder() as scratch:
         for stem, file in wanted.items():
             copy = scratch / f"{stem}{'.txt' if is_text else '.bin'}"
@@ -111,10 +126,12 @@ def read_model(path: Path, whole: bool = False) -> tuple[Calibration, pycolmap.R
                 copy.write_text(text, encoding="utf-8")
             else:
                 copy.symlink_to(file.absolute())
+
         checks = {} if is_text else {"cameras": _camera_bytes, "images": _image_bytes}
         for stem, item_bytes in checks.items():
             with read_as(f"COLMAP's {stem}", wanted[stem]):
                 _require_whole(read_bytes(scratch / f"{stem}.bin"), item_bytes)
+
         model = pycolmap.Reconstruction(scratch)
         for image in model.images.values() if is_text else ():
             image.name = unquote(image.name)

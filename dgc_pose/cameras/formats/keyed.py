@@ -11,18 +11,18 @@ import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 
 from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.cameras.camera import Camera, matrix_camera
 from dgc_pose.cameras.colmap_camera import Distortion
+from dgc_pose.cameras.formats.opened import CameraFile
 from dgc_pose.errors import InputError, reason, shortened
 from dgc_pose.geometry.pixels import Size
 from dgc_pose.geometry.rotation import rotation_of_quaternion
+from dgc_pose.system.arrays import read_array
 
 # Names of the matrix and the size in files of OpenCV's programs, ROS, Kalibr, Open3D and Record3D.
 # In ROS, `camera_matrix` and the distortion describe the raw image.
@@ -60,9 +60,25 @@ _OTHER_CAMERA_KEYS = re.compile(
 )
 
 
-def xml_data(node: ElementTree.Element) -> Any:
-    """The values in XML from cv::FileStorage, in the structure of its YAML and JSON."""
-    return {child.tag: xml_data(child) for child in node} if len(node) else node.text
+def read(file: CameraFile) -> Calibration | None:
+    """The cameras of a file with keys, see `keyed_cameras`; None for a file without."""
+    return keyed_cameras(file.data) if isinstance(file.data, Mapping) else None
+
+
+def read_numbers(file: CameraFile) -> Calibration | None:
+    """The camera of a file of only numbers; None for another file."""
+    values: Any
+    if file.ending == ".npy":
+        values = read_array(file.path)
+    elif file.has_data:
+        if isinstance(file.data, Mapping):
+            return None
+        values = file.data
+    else:
+        values = numbers(" ".join(file.lines))
+        if values is None:
+            return None
+    return Calibration(common=numbers_camera(values))
 
 
 def keyed_cameras(data: Mapping[str, Any]) -> Calibration:
@@ -124,8 +140,9 @@ def keyed_camera(data: Any, key: str | None = None) -> Camera:
 
 
 def _unread_warning(others: Sequence[str]) -> tuple[str, ...]:
-    """A warning that names the unread keys; empty if there are none."""
-    return (f"keys that may change K are not read: {shortened(', '.join(others))}",) * bool(others)
+    if not others:
+        return ()
+    return (f"keys that may change K are not read: {shortened(', '.join(others))}",)
 
 
 def _size(data: Mapping[str, Any]) -> Size | None:
@@ -138,17 +155,21 @@ def _size(data: Mapping[str, Any]) -> Size | None:
     return None
 
 
-def read_table(text: str, path: Path) -> Calibration:
-    """Read the cameras of a .csv with the columns name, fx, fy, cx, cy.
+def read_table(file: CameraFile) -> Calibration | None:
+    """The cameras of a .csv with the columns name, fx, fy, cx, cy; None for another file.
 
     Optional columns: width, height, focal_std, centre_std_px, lens_std; camera, equal for images
     taken by one camera; the keys of a lens; and qw, qx, qy, qz, tx, ty, tz of cam_from_world.
     Raises InputError, with the path and line, also if a name has two cameras.
     """
+    if file.ending != ".csv" or file.has_data or numbers(file.lines[0]) is not None:
+        return None
+
+    path = file.path
     by_name: dict[str, dict[str, str]] = {}
     cameras = {}
     poses = {}
-    for number, row in enumerate(csv.DictReader(text.splitlines()), start=2):
+    for number, row in enumerate(csv.DictReader(file.text.splitlines()), start=2):
         try:
             if any(row.pop(None, ())):
                 raise InputError("more cells than columns")
@@ -163,15 +184,19 @@ def read_table(text: str, path: Path) -> Calibration:
             raise InputError(path, f"has no column {error}") from None
         except (InputError, TypeError, ValueError, OverflowError) as error:
             raise InputError(path, f"line {number}: {reason(error)}") from None
+
     if not cameras:
         raise InputError(path, "has no cameras")
     return Calibration("", cameras, poses=poses)
 
 
-def of_camera(data: Mapping[str, Any]) -> dict[str, Any]:
+def camera_keys(data: Mapping[str, Any]) -> dict[str, Any]:
     """The values whose keys may describe a lens or another camera."""
-    names = [key for key in data if _LENS_KEYS.fullmatch(key) or _OTHER_CAMERA_KEYS.fullmatch(key)]
-    return {name: data[name] for name in names}
+    return {
+        key: value
+        for key, value in data.items()
+        if any(keys.fullmatch(key) for keys in (_LENS_KEYS, _OTHER_CAMERA_KEYS))
+    }
 
 
 def unread(data: Mapping[str, Any], *read: str | None) -> list[str]:
@@ -218,16 +243,33 @@ def _lens(data: Mapping[str, Any]) -> tuple[Distortion | None, Sequence[str]]:
         model = model if named == "OPENCV" else named
     if model == "none":
         return None, _MODEL_KEYS
-    keys = [key for key in data if _LIST.fullmatch(str(key)) and any(numbers(data[key]) or ())][:1]
-    coefficients = [number for key in keys for number in numbers(data[key]) or ()]
-    if not keys:  # one by one
-        singles = {key: numbers(data.get(key)) for key in _SINGLE.get(model, ())}
-        keys = [key for key, held in singles.items() if held is not None and len(held) < 2]
-        coefficients = [(singles[k] or [0.0])[0] if k in keys else 0.0 for k in singles]
+
+    keys, coefficients = _listed(data) or _single(data, model)
     read = (*_MODEL_KEYS, *keys)
     if model == "OPENCV":
         return _opencv_lens(coefficients, keys), read
     return Distortion(model, tuple(coefficients)), read
+
+
+def _listed(data: Mapping[str, Any]) -> tuple[list[str], list[float]] | None:
+    """The first key of a list of coefficients that are not all zero, and these."""
+    for key, value in data.items():
+        coefficients = numbers(value) if _LIST.fullmatch(str(key)) else None
+        if coefficients and any(coefficients):
+            return [key], coefficients
+    return None
+
+
+def _single(data: Mapping[str, Any], model: str) -> tuple[list[str], list[float]]:
+    """The keys of the coefficients one by one, and these, 0 for a key that is not there."""
+    keys = []
+    coefficients = []
+    for key in _SINGLE.get(model, ()):
+        held = numbers(data.get(key))
+        is_single = held is not None and len(held) < 2
+        keys += [key] if is_single else []
+        coefficients.append(held[0] if held and is_single else 0.0)
+    return keys, coefficients
 
 
 def _opencv_lens(coefficients: Sequence[float], keys: Sequence[str]) -> Distortion | None:

@@ -1,36 +1,31 @@
-"""Recognise the format of a camera file, by its content and, if that is ambiguous, by its name.
+"""The formats of a file of cameras: one table, by whose readers a file is recognised.
 
-docs/cameras.md lists the formats. The centre of the top-left pixel is (0.5, 0.5) in files of COLMAP
-and NeRF, and (0, 0) in all others, as in `Camera`. COLMAP's models, NeRF's transforms.json,
-Record3D's metadata and tables have cameras by image name; rig files have them by camera name.
+The content decides and, if it is ambiguous, the ending. Files with images have cameras by image
+name, files of a rig by camera name. docs/cameras.md and the help of --K show the table.
 """
 
-import json
-import math
-import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
-from xml.etree import ElementTree
-
-import numpy as np
+from typing import NamedTuple
 
 from dgc_pose.cameras.by_image import Calibration
-from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.formats import colmap, keyed, rigs
-from dgc_pose.cameras.formats.keyed import numbers, numbers_camera
+from dgc_pose.cameras.formats import colmap, keyed, kitti, nerf, rigs
+from dgc_pose.cameras.formats.opened import CameraFile
 from dgc_pose.errors import InputError, shortened
-from dgc_pose.system.arrays import read_array
-from dgc_pose.system.files import read_as, read_text
-from dgc_pose.system.texts import toml_data, yaml_data
+from dgc_pose.system.files import read_as
 
-# KITTI's projections P describe the rectified images in its folders; S, K and D do not.
-_PROJECTION = re.compile(r"^P(?:_rect_)?(\d+):(.*)", re.MULTILINE)
-_SIZE = re.compile(r"^S_rect_(\d+):\s*(\S+)\s+(\S+)", re.MULTILINE)
-_OTHERS = re.compile(r"^(?!(?:P\d+|[SKD]_\d+|corner_dist):)(\w+):(.*)", re.MULTILINE)
-# If a NeRF frame has one key of a group, it replaces the whole group of the file.
-_GROUPS = (("fl_x", "fl_y", "camera_angle_x", "camera_angle_y"), ("camera_model", "is_fisheye"))
+
+class Format(NamedTuple):
+    """A row of the table."""
+
+    name: str  # in the help of --K; "" if it is left out
+    files: str  # in the documentation, with an example
+    example: str
+    read: Callable[[CameraFile], Calibration | None]  # None for a file of another format
+    # Whether the centre of the top-left pixel is (0.5, 0.5). In `Camera`, and in all other files,
+    # it is (0, 0).
+    half_pixel: bool = False
 
 
 def read_file(path: Path) -> Calibration:
@@ -40,129 +35,94 @@ def read_file(path: Path) -> Calibration:
     """
     try:
         with read_as("a file of cameras", path):
-            return replace(_read_file(path), where=str(path))
+            return replace(_read(CameraFile(path)), where=str(path))
     except InputError as error:
         if error.path is not None:
             raise
         raise InputError(f"{path}: {error}") from error
 
 
-def _read_file(path: Path) -> Calibration:
-    ending = path.suffix.lower()
-    if path.is_dir():
-        return colmap.read_model(path)[0]
-    if ending == ".npy":
-        return Calibration(common=numbers_camera(read_array(path)))
-    if ending == ".bin":
-        return colmap.read_model(path)[0]
-    text = read_text(path, "a file of cameras")
-    if not text.strip():
-        raise InputError(path, "is empty")
-    if ending == ".toml":
-        return _of_mapping(toml_data(text, path), path)
-    if "<opencv_storage>" in text:
-        return _of_mapping(keyed.xml_data(ElementTree.fromstring(text)), path)
-    if ending == ".json" or text.lstrip().startswith("{"):
-        return _of_mapping(json.loads(text), path)
-    if ending in (".yaml", ".yml") or text.startswith("%YAML"):
-        return _of_mapping(yaml_data(text, path), path)
-    if _PROJECTION.search(text) and (rig := _kitti_cameras(text, path)) is not None:
-        return rig
-    lines = [line.split("#")[0] for line in text.splitlines()]
-    lines = [line for line in lines if line.strip()] or [""]
-    if colmap.is_line(lines[0]):
-        if lines[0].split()[0].isdecimal():
-            return colmap.read_model(path)[0]
-        if len(lines) == 1:
-            return Calibration(common=colmap.parse_line(lines[0]))
-    if ending == ".csv" and numbers(lines[0]) is None:
-        return keyed.read_table(text, path)
-    if (values := numbers(" ".join(lines))) is not None:
-        return Calibration(common=numbers_camera(values))
+def _read(file: CameraFile) -> Calibration:
+    for read in dict.fromkeys(format.read for format in FORMATS):
+        calibration = read(file)
+        if calibration is not None:
+            return calibration
     raise InputError(
         "no 3x3 matrix, no fx fy cx cy, and no other file of cameras "
-        f"(it begins with {shortened(lines[0].strip())!r})"
+        f"(it begins with {shortened(file.lines[0].strip())!r})"
     )
 
 
-def _of_mapping(data: Any, path: Path) -> Calibration:
-    if isinstance(data, list) and (rig := rigs.colmap_rig(data, path)) is not None:
-        return rig
-    if not isinstance(data, dict):
-        return Calibration(common=numbers_camera(data))
-    if not {"frames", "fl_x", "camera_angle_x"}.isdisjoint(data):
-        return _nerf_cameras(data, str(path))
-    if data.get("calibration") == rigs.CALIBRATION:  # rig.json
-        return _read_file(path.with_name(rigs.CALIBRATION))
-    return rigs.named_rig(data, path) or keyed.keyed_cameras(data)
+def _named_toml(file: CameraFile) -> Calibration | None:
+    """The cameras of the TOML that a rig.json names."""
+    is_rig = isinstance(file.data, Mapping) and file.data.get("calibration") == rigs.CALIBRATION
+    return _read(CameraFile(file.path.with_name(rigs.CALIBRATION))) if is_rig else None
 
 
-def _kitti_cameras(text: str, path: Path) -> Calibration | None:
-    """The cameras "image_0", "image_1", ... from KITTI's calib.txt (odometry, objects) or
-    calib_cam_to_cam.txt (raw drives)."""
-    others = dict.fromkeys(keyed.unread(dict(_OTHERS.findall(text))), "unread")
-    sizes = {key: (width, height) for key, width, height in _SIZE.findall(text)}
-    tables = {}
-    for key, values in _PROJECTION.findall(text):
-        P = np.array(values.split(), dtype=np.float64).reshape(3, 4)
-        table = {"matrix": P[:, :3].tolist(), "size": sizes.get(key)}
-        tables[f"image_{int(key)}"] = others | table
-    return rigs.calibration(tables, path)
-
-
-def _nerf_cameras(data: Mapping[str, Any], where: str) -> Calibration:
-    """The cameras of a transforms.json by the names of its frames, which may lack an ending.
-
-    where: the path, for the identity of the cameras. Raises InputError, KeyError, TypeError,
-    AttributeError, ValueError or ArithmeticError for other data.
-    """
-    shared = {key: value for key, value in data.items() if key != "frames"}
-    common = _nerf_camera(shared)
-    if common is not None:
-        common = replace(common, identity=where)
-    by_name = {}
-    poses = {}
-    for frame in data.get("frames", ()):
-        name = str(frame["file_path"])
-        if "transform_matrix" in frame:  # world_from_cam, axes right, up, backwards
-            matrix = np.linalg.inv(np.array(frame["transform_matrix"], dtype=np.float64))
-            poses[name] = (matrix * [[1], [-1], [-1], [1]])[:3]
-        replaced = {key for keys in _GROUPS if not frame.keys().isdisjoint(keys) for key in keys}
-        rest = {key: value for key, value in shared.items() if key not in replaced}
-        camera = _nerf_camera({**rest, **frame})
-        if camera is None and common is not None:
-            raise InputError(f"{name} has neither fl_x nor camera_angle_x with w")
-        if camera is not None:
-            is_common = common is not None and _facts(camera) == _facts(common)
-            by_name[name] = common if common is not None and is_common else camera
-    if common is None and not by_name:
-        raise InputError("has neither fl_x nor camera_angle_x with w")
-    return Calibration("", by_name, common=common, poses=poses)
-
-
-def _facts(camera: Camera) -> tuple[Any, ...]:
-    return camera.K.tolist(), camera.size, camera.distortion, camera.warnings
-
-
-def _nerf_camera(data: Mapping[str, Any]) -> Camera | None:
-    width = data.get("w")
-    height = data.get("h")
-    size = None if width is None or height is None else (int(width), int(height))
-    fx, fy = (_focal(data, axis, size and size[side]) for side, axis in enumerate("xy"))
-    fx, fy = fx or fy, fy or fx
-    if fx is None or fy is None:
-        return None
-    if size is None and not ("cx" in data and "cy" in data):
-        raise InputError("neither cx and cy nor w and h")
-    middle = (size[0] / 2, size[1] / 2) if size else (0, 0)
-    cx, cy = (float(data.get(key, middle[axis])) - 0.5 for axis, key in enumerate(("cx", "cy")))
-    camera = keyed.keyed_camera({**keyed.of_camera(data), "K": [fx, fy, cx, cy]}, "K")
-    return replace(camera, size=size)
-
-
-def _focal(data: Mapping[str, Any], axis: str, side: int | None) -> float | None:
-    """The focal length along an axis, pixels. side: of the image along this axis, pixels."""
-    if data.get(f"fl_{axis}") is not None:
-        return float(data[f"fl_{axis}"])
-    angle = data.get(f"camera_angle_{axis}")
-    return None if angle is None or side is None else side / 2 / math.tan(float(angle) / 2)
+# The first reader that gives cameras counts. `keyed.read` takes any keys, so it follows the others
+# that take keys.
+FORMATS: Sequence[Format] = (
+    Format(
+        "COLMAP",
+        "a COLMAP model's folder, `cameras.txt` or `cameras.bin`",
+        "sparse/0",
+        colmap.read,
+        half_pixel=True,
+    ),
+    Format(
+        "",
+        "COLMAP's `rig_config.json` with camera_params",
+        "rig_config.json:cam_1",
+        rigs.read_colmap,
+        half_pixel=True,
+    ),
+    Format(
+        "NeRF",
+        "NeRF's `transforms.json` (instant-ngp, nerfstudio)",
+        "transforms.json",
+        nerf.read,
+        half_pixel=True,
+    ),
+    Format("", "`rig.json` of `dgc-pose rig`", "rig.json:cam_1", _named_toml),
+    Format("Kalibr", "Kalibr's camchain; EuRoC's `sensor.yaml`", "camchain.yaml:cam1", rigs.read),
+    Format("", "TOML of anipose, caliscope and Pose2Sim", "camera_array.toml:cam_1", rigs.read),
+    Format("", "EasyMocap's `intri.yml`", "intri.yml:01", rigs.read),
+    Format("", "OpenCV's stereo pair (M1, D1, M2, D2)", "stereo.yml:M2", rigs.read),
+    Format("OpenCV", "OpenCV's `FileStorage`: YAML, XML or JSON", "camera.yml", keyed.read),
+    Format(
+        "ROS",
+        "ROS's camera_info: YAML, or the message as `rostopic echo` prints it",
+        "ost.yaml",
+        keyed.read,
+    ),
+    Format(
+        "",
+        "JSON of Open3D (`intrinsic_matrix`), metadata of Record3D",
+        "metadata.json",
+        keyed.read,
+    ),
+    Format(
+        "JSON",
+        "JSON with K, or fx, fy, cx, cy, and size or width, height, a lens; the JSON of `estimate`",
+        "pose.json",
+        keyed.read,
+    ),
+    Format(
+        "KITTI",
+        "KITTI's `calib.txt` and `calib_cam_to_cam.txt`",
+        "calib.txt:image_2",
+        kitti.read,
+    ),
+    Format(
+        ".csv",
+        "`.csv`: name, fx, fy, cx, cy, optionally width, height, focal_std, camera, a lens",
+        "cameras.csv",
+        keyed.read_table,
+    ),
+    Format(
+        "3x3 matrix",
+        "a text or `.npy`: a 3x3 matrix, a 4x4 one that holds it (ScanNet), or fx fy cx cy",
+        "K.txt",
+        keyed.read_numbers,
+    ),
+)

@@ -20,6 +20,7 @@ from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.cameras.camera import Camera, colmap_camera
 from dgc_pose.cameras.colmap_camera import Distortion, intrinsics
 from dgc_pose.cameras.formats.keyed import keyed_camera, numbers, unread
+from dgc_pose.cameras.formats.opened import CameraFile
 from dgc_pose.errors import InputError, reason
 from dgc_pose.geometry.epipolar import essential_from_pose, fundamental_from_essential
 from dgc_pose.geometry.rotation import is_rotation, quaternion_wxyz, rotation_of_quaternion
@@ -34,23 +35,29 @@ _OPENCV = dict.fromkeys(("SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV"), 5)
 _OPENCV |= {f"{kind}FISHEYE": 4 for kind in ("", "SIMPLE_", "RADIAL_", "SIMPLE_RADIAL_", "OPENCV_")}
 
 
-def named_rig(data: Mapping[str, Any], path: Path) -> Calibration | None:
+def read(file: CameraFile) -> Calibration | None:
     """The cameras of a rig by name, in the file's order, and their poses; None for other files.
 
-    Uncalibrated cameras, which caliscope writes, appear only in `rig`. path: for the identity of
-    the cameras. Raises InputError, with the camera's name, for an invalid camera, a pose that is
-    not rigid, and two cameras with one name; and if no camera is calibrated.
+    Uncalibrated cameras, which caliscope writes, appear only in `rig`. Raises InputError, with the
+    camera's name, for an invalid camera, a pose that is not rigid, and two cameras with one name;
+    and if no camera is calibrated.
     """
-    return calibration(_kalibr(data) or _tables(data) or _grouped(data), path)
+    data = file.data
+    if not isinstance(data, Mapping):
+        return None
+    return calibration(_kalibr(data) or _tables(data) or _grouped(data), file.path)
 
 
-def colmap_rig(rigs: Sequence[Any], path: Path) -> Calibration | None:
+def read_colmap(file: CameraFile) -> Calibration | None:
     """The cameras of COLMAP's rig_config.json by the last folder of their image_prefix, and their
-    poses; None for other lists. Several rigs have no common frame, so they get no poses.
+    poses; None for other files. Several rigs have no common frame, so they get no poses.
 
-    Raises as `named_rig` does.
+    Raises as `read` does.
     """
-    if not rigs or not all(isinstance(rig, Mapping) and rig.get("cameras") for rig in rigs):
+    rigs = file.data
+    if not isinstance(rigs, list) or not rigs:
+        return None
+    if not all(isinstance(rig, Mapping) and rig.get("cameras") for rig in rigs):
         return None
     tables = {}
     for camera in (camera for rig in rigs for camera in rig["cameras"]):
@@ -65,12 +72,12 @@ def colmap_rig(rigs: Sequence[Any], path: Path) -> Calibration | None:
             K, lens = intrinsics(str(camera["camera_model_name"]), values)
             table |= {"matrix": K.tolist(), **({} if lens is None else vars(lens))}
         tables[str(prefix)] = table
-    return calibration(tables, path)
+    return calibration(tables, file.path)
 
 
 def calibration(tables: Mapping[str, Mapping[str, Any]], path: Path) -> Calibration | None:
     """The cameras from tables in the form of calibration.toml; None without a table. If all cameras
-    are equal, they are also the common camera. Raises as `named_rig` does."""
+    are equal, they are also the common camera. Raises as `read` does."""
     names = {key: str(table.get("name") or key) for key, table in tables.items()}
     parts: dict[str, Camera] = {}
     poses: dict[str, np.ndarray] = {}
@@ -89,10 +96,12 @@ def calibration(tables: Mapping[str, Mapping[str, Any]], path: Path) -> Calibrat
         parts[name] = replace(camera, identity=f"{path} {name}")
         if pose is not None:
             poses[name] = pose
+
     if not parts:
         if not tables:
             return None
         raise InputError(f"no matrix of {', '.join(names.values())}")
+
     by_name = {key: parts[name] for key, name in names.items() if name in parts} | parts
     kinds = {(camera.K.tobytes(), camera.distortion) for camera in parts.values()}
     is_one = len(kinds) == 1 and len(parts) == len(tables)
@@ -119,14 +128,15 @@ def _pose(table: Mapping[str, Any]) -> np.ndarray | None:
 
 def _kalibr(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """The tables of Kalibr's camchain by camera name; that of EuRoC's sensor.yaml as "cam0"."""
-    tables = {
-        str(name): {"name": str(name), "distortion_model": "none", **values}
-        for name, values in {**data, "cam0": data.get("cam0", data)}.items()
-        if isinstance(values, Mapping) and numbers(values.get("intrinsics"))
-    }
-    for table in tables.values():
+    tables = {}
+    for name, values in {**data, "cam0": data.get("cam0", data)}.items():
+        if not isinstance(values, Mapping) or not numbers(values.get("intrinsics")):
+            continue
+        table = {"name": str(name), "distortion_model": "none", **values}
         table["matrix"] = table.pop("intrinsics")
         table["size"] = table.pop("resolution", None)
+        tables[str(name)] = table
+
     if not tables or "intrinsics" in data:
         return tables
     others = dict.fromkeys(unread(data, *tables), "unread")
@@ -136,16 +146,26 @@ def _kalibr(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 def _tables(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """The tables of the cameras in a TOML by key; caliscope's `cameras` are numbered."""
     listed = data.get("cameras", data)
-    tables = {
-        str(key): {**({} if listed is data else {"name": f"cam_{key}"}), **table}
-        for key, table in (listed.items() if isinstance(listed, Mapping) else ())
-        if isinstance(table, Mapping) and not {"matrix", "size"}.isdisjoint(table)
-    }
+    if not isinstance(listed, Mapping):
+        return {}
+    tables = {}
+    for key, table in listed.items():
+        if isinstance(table, Mapping) and not {"matrix", "size"}.isdisjoint(table):
+            name = {} if listed is data else {"name": f"cam_{key}"}
+            tables[str(key)] = {**name, **table}
+
     lenses = [{"distortions"}, {"matrix", "coefficients"}]
     if not any(lens <= table.keys() for table in tables.values() for lens in lenses):
         return {}
     others = dict.fromkeys(unread(data, "cameras", *tables), "unread")
     return {name: others | table for name, table in tables.items()}
+
+
+def _matrix_key(group: Mapping[str, Any]) -> str | None:
+    for key in _MATRICES:
+        if key in group and numbers(group[key]) is not None:
+            return key
+    return None
 
 
 def _grouped(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
@@ -158,13 +178,15 @@ def _grouped(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
             groups.setdefault(match[2], {})[match[1]] = value
         else:
             shared[key] = value
+
     tables = {}
     for end, group in groups.items():
-        held = [key for key in _MATRICES if key in group and numbers(group[key]) is not None]
-        if not held:  # another format
+        matrix = _matrix_key(group)
+        if matrix is None:  # another format
             return {}
-        name = end if keys is _EASYMOCAP else held[0] + end
-        tables[name] = {**shared, "matrix": group.pop(held[0]), **group, "name": name}
+        name = end if keys is _EASYMOCAP else matrix + end
+        tables[name] = {**shared, "matrix": group.pop(matrix), **group, "name": name}
+
     if keys is _STEREO and len(tables) == 2 and {"R", "T"} <= shared.keys():
         first, second = (tables[name] for name in sorted(tables, key=lambda name: name[-1]))
         first |= {"rotation": np.eye(3), "translation": np.zeros(3)}
@@ -208,16 +230,16 @@ def _table(name: str, camera: Camera, pose: np.ndarray) -> dict[str, Any]:
     lens = camera.distortion or Distortion("OPENCV", (0.0,) * 4)
     count = _OPENCV.get(lens.model, 0)
     values = [*lens.coefficients, *[0.0] * count]
-    of_lens: dict[str, Any] = {"distortions": values[:count], "fisheye": count == 4}
+    lens_values: dict[str, Any] = {"distortions": values[:count], "fisheye": count == 4}
     if not count or any(values[count:]):
-        of_lens = {"model": lens.model, "coefficients": lens.coefficients}
+        lens_values = {"model": lens.model, "coefficients": lens.coefficients}
     w, *axis = quaternion_wxyz(pose[:, :3])  # cv2.Rodrigues: only 7 digits near a half turn
     half = np.arctan2(np.linalg.norm(axis), w)
     return {
         "name": name,
         "size": camera.size,
         "matrix": camera.K.tolist(),
-        **of_lens,
+        **lens_values,
         "rotation": (2 * np.array(axis) / np.sinc(half / np.pi)).tolist(),
         "translation": pose[:, 3].tolist(),
         "focal_std": camera.focal_std,

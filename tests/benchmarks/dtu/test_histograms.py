@@ -11,8 +11,8 @@ def test_a_panel_has_a_curve_of_each_method_that_has_the_quantity(tmp_path):
     errors, lost = np.array([3.0, np.inf, 1.0, 9.0, 3.0]), np.full(5, np.inf)
     fields = ("rotation_error_deg", "translation_error_deg", "epipolar_confident_px")
     methods = {
-        name: {**dict.fromkeys(fields, own), "epipolar_all_px": of_map}
-        for name, own, of_map in (
+        name: {**dict.fromkeys(fields, own), "epipolar_all_px": everywhere}
+        for name, own, everywhere in (
             ("$\\frac{$", errors, errors),
             ("$\\frac{$/all", lost, lost),
             ("\udcff", errors, np.array([np.nan])),

@@ -27,7 +27,7 @@ K = torch.tensor([[FOCAL, FOCAL, 31.5, 23.5]])
 
 
 def _view(x: float, part: str = "A") -> View:
-    """Of a wall, from a distance."""
+    """A view of a wall from a distance."""
     camera = Cameras.at(K, torch.eye(3)[None], torch.tensor([[x, 0.0, 0.0]]))
     depth = np.full(SIZE[::-1], DEPTH, np.float32)
     return View(np.zeros((*SIZE[::-1], 3), np.uint8), camera, depth, part)

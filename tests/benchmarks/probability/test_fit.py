@@ -206,7 +206,7 @@ def test_the_place_is_logistic_in_its_surroundings_and_certain_of_too_few():
 
 
 def test_the_fit_of_the_lines_finds_how_sure_they_are():
-    """Of focal lengths that are drawn from the posterior that such numbers have."""
+    """With focal lengths that are drawn from the posterior that such numbers have."""
     rng, sharpness, chance = np.random.default_rng(0), 2.5, 0.05
     usual = np.exp(-(((LOG_FOCALS - np.log(0.9)) / 0.35) ** 2) / 2) / 0.35
     tail = np.exp(-(((LOG_FOCALS - np.log(2.0)) / 0.7) ** 2) / 2) / 0.7

@@ -45,18 +45,18 @@ def rows_of(run):
 
 
 def test_the_table_and_out_hold_the_same_summary(folder):
-    result = bench("pairs.txt", "--methods", "true,noise", "--out", "run/new")
+    result = bench("pairs.txt", "--methods", "true,noise", "--limit", 1, "--out", "run/new")
     assert (result.exit_code, result.stderr) == (0, "")
-    assert result.stdout.splitlines()[-1].split()[:6] == "noise 3 3 - - -".split()
+    assert result.stdout.splitlines()[-1].split()[:6] == "noise 1 1 - - -".split()
     true, noise = json.loads((folder / "run/new/summary.json").read_text())["methods"]
-    assert (true["method"], true["pairs"], true["failures"]) == ("true", 3, 0)
+    assert (true["method"], true["pairs"], true["failures"]) == ("true", 1, 0)
     assert true["median_rotation_deg"] < 0.1 and true["auc5"] > 95
     assert true["median_epipolar_px"] < 0.1
-    assert (noise["failures"], noise["median_rotation_deg"], noise["auc20"]) == (3, None, 0)
+    assert (noise["failures"], noise["median_rotation_deg"], noise["auc20"]) == (1, None, 0)
     files = ["errors.png", "results.csv", "run.jsonl", "summary.json"]
     assert sorted(os.listdir("run/new")) == files
     rows = rows_of("run/new")
-    assert [row["method"] for row in rows] == ["true", "noise"] * 3
+    assert [row["method"] for row in rows] == ["true", "noise"]
     assert rows[1]["rotation_error_deg"] == "inf"
     assert cv2.imread("run/new/errors.png").std() > 1
 
@@ -64,9 +64,9 @@ def test_the_table_and_out_hold_the_same_summary(folder):
 def test_the_first_pairs_of_a_list_that_lies_elsewhere(folder):
     os.makedirs("elsewhere")
     os.rename("pairs.txt", "elsewhere/pairs.txt")
-    result = bench("elsewhere/pairs.txt", "--root", ".", "--limit", "2", "--out", "run")
+    result = bench("elsewhere/pairs.txt", "--root", ".", "--limit", "1", "--out", "run")
     assert result.exit_code == 0, result.stderr
-    assert [row["method"] for row in rows_of("run")] == 2 * [DEFAULT_WEIGHTS, "sift"]
+    assert [row["method"] for row in rows_of("run")] == [DEFAULT_WEIGHTS, "sift"]
 
 
 def test_the_finished_pairs_are_on_disk_when_a_later_one_fails(folder, monkeypatch):
@@ -91,12 +91,18 @@ def test_the_finished_pairs_are_on_disk_when_a_later_one_fails(folder, monkeypat
     assert len(rows_of("run")) == 3
 
 
-def test_methods_are_told_other_cameras_and_scored_with_the_true_ones(folder):
-    methods = "true,true:K=auto:shared,true:K_scale=0.8"
-    result = bench("pairs.txt", "--methods", methods, "--limit", "1", "--out", "run")
-    assert result.exit_code == 0, result.stderr
-    assert result.stdout.splitlines()[-4].split()[:4] == "method claimed wrong doubted".split()
-    known, withheld, wrong = rows_of("run")
+def test_methods_get_other_cameras_and_are_scored_with_the_true_ones(folder):
+    rows = []
+    for cameras in (), ("--K", "auto:shared"), ("--K-scale", "0.8"):
+        run = f"run{len(rows)}"
+        result = bench("pairs.txt", "--methods", "true", *cameras, "--limit", "1", "--out", run)
+        assert result.exit_code == 0, result.stderr
+        has_cameras = "method claimed wrong doubted".split() in [
+            line.split()[:4] for line in result.stdout.splitlines()
+        ]
+        assert has_cameras == bool(cameras)
+        rows += rows_of(run)
+    known, withheld, wrong = rows
     assert float(known["rotation_error_deg"]) < 0.1 and float(known["focal1_error"]) == 0
     assert known["doubts_camera"] == "False" and float(withheld["focal1_std"]) > 0
     # The wrong K is found by the matches.
@@ -121,7 +127,7 @@ def test_all_is_every_cell_that_leads_into_image_1_trusted_or_not(folder):
 def test_the_maps_of_another_program_give_the_true_poses(folder, protocol):
     """All the way from files to errors: cameras, scales and the direction of the map are right."""
     found = dense_scene.true_map()
-    arrays = {"map": found.map, "grid": found.grid, "matchability": found.matchability}
+    arrays = {name: getattr(found, name)[::2, ::2] for name in ("map", "grid", "matchability")}
     (folder / "maps").mkdir()
     np.savez(folder / "maps/one.png_two.png.npz", **arrays)
     words = ("--methods", "other/all,other", "--matches", "other=maps", "--protocol", protocol)
@@ -137,17 +143,3 @@ def test_the_maps_of_another_program_give_the_true_poses(folder, protocol):
     words = (*words[:-1], "native" if protocol == "paper" else "paper")
     again = bench("pairs.txt", *words, "--limit", "1", "--out", "run", "--resume")
     assert_refused(again, "that run has methods")
-
-
-@pytest.mark.parametrize(
-    "arguments, words",
-    [
-        (("pairs.txt", "--methods", "sift", "--matches", "raft=nowhere"), "nowhere/one.png_two"),
-        (("pairs.txt", "--methods", "sift", "--resume"), "--out"),
-        (("pairs.txt", "--methods", "true", "--K", "auto", "--K-scale", "2"), "cannot be scaled"),
-        ((), "LIST"),
-    ],
-)
-def test_unusable_input_is_one_line_and_writes_nothing(folder, arguments, words):
-    assert_refused(bench(*arguments), words)
-    assert sorted(os.listdir(folder)) == ["one.png", "pairs.txt", "two.png"]
