@@ -102,7 +102,7 @@ def test_a_depth_map_of_another_scene_is_doubted() -> None:
 
 def test_too_few_depths_give_no_length() -> None:
     scene, points, pose = scene_and_pose(0)
-    few = np.flatnonzero(pose.inliers)[:5]
+    few = np.flatnonzero(pose.inliers & scene.true)[:5]
     maps = [depth_map(scene.points1[few], points[few, 2], SIZE1, 0.0), None]
     result = with_length(pose, scene.matches, ScaleSource(), maps)
     assert result.length is None and result.length_std is None and result.R is pose.R

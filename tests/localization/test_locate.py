@@ -95,8 +95,8 @@ def test_an_error_in_the_middle_of_a_location_is_raised(tmp_path, monkeypatch) -
 
 def test_a_wrong_K_of_the_query_gives_way_and_is_told(tmp_path, monkeypatch) -> None:
     """After two database images that contradict it."""
-    views = render_views(4, step=0.5)
-    photo = views.pop(1)
+    views = render_views(5, step=0.5)
+    photo = views.pop(2)
     model = known_model(tmp_path, views)
     cameras: list[Camera] = []
 
