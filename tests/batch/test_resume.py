@@ -17,8 +17,14 @@ from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matching.key_points import SiftMatcher
 
-COUNT = 4
-LAST = f"view{COUNT - 1}.png"
+LATE = "view2.png"  # of two pairs
+chain = partial(run_sift, pairs="sequential:1")  # three pairs
+
+
+@pytest.fixture(scope="module")
+def whole(views, tmp_path_factory):
+    """An uninterrupted batch."""
+    return chain(views, tmp_path_factory.mktemp("whole") / "out").folder
 
 
 @pytest.fixture
@@ -58,7 +64,7 @@ def test_a_difference_is_refused_with_the_command_and_nothing_changes(
     monkeypatch.setattr("sys.argv", ["dgc-pose", "batch", "my photos"])
     out = tmp_path / "out"
     with pytest.raises(Killed):
-        run_sift(photos, out, start_workers=killed_after(1))
+        chain(photos, out, start_workers=killed_after(1))
     before = {path: path.read_bytes() for path in out.iterdir()}
     apply, options, *words = CHANGES[change]
     made = "has another folder, options, pairs or cameras"
@@ -66,7 +72,7 @@ def test_a_difference_is_refused_with_the_command_and_nothing_changes(
     source = photos if apply is None else apply(photos)
     options = {k: tmp_path / "masks" if k == "masks" else v for k, v in options.items()}
     with pytest.raises(InputError, match=": resume needs the same") as raised:
-        run_sift(source, out, resume=True, **options)
+        chain(source, out, resume=True, **options)
     assert words in str(raised.value) and "\n" not in str(raised.value)
     assert {path: path.read_bytes() for path in out.iterdir()} == before
 
@@ -76,38 +82,38 @@ def test_killed_and_resumed_gives_the_same(views, tmp_path, monkeypatch):
     moved = "dgc_pose.batch.folder_cameras.centre_moved"
     monkeypatch.setattr(moved, lambda before, after: True)
     out, whole = tmp_path / "out", tmp_path / "whole"
-    chain = partial(run_sift, views, K="auto", pairs="sequential:1")  # three pairs
-    chain(whole)
+    auto = partial(chain, views, K="auto")
+    auto(whole)
     # Of two matches; the third and a fit; two fits and an estimate.
     for tasks in (2, 2, 3):
         with pytest.raises(Killed):
-            chain(out, start_workers=killed_after(tasks), resume=out.exists())
+            auto(out, start_workers=killed_after(tasks), resume=out.exists())
         with pytest.raises(InputError, match="unfinished"):
             read_batch(out)
-    chain(out, resume=True)
+    auto(out, resume=True)
     assert_same_result(out, whole)
-    again = chain(out, resume=True, start_workers=killed_after(0))
+    again = auto(out, resume=True, start_workers=killed_after(0))
     assert again.plan.pooled is not None
 
 
 def test_a_photograph_that_was_half_copied_is_matched_when_it_is_whole(photos, whole, tmp_path):
     """Its pairs alone, whether the batch was finished or killed."""
-    out, content = tmp_path / "out", (photos / LAST).read_bytes()
-    (photos / LAST).write_bytes(content[: len(content) // 2])
-    assert list(run_sift(photos, out).summary["bad_images"]) == [LAST]
-    (photos / LAST).write_bytes(content)
-    batch = run_sift(photos, out, resume=True)
-    assert batch.summary["bad_images"] == {} and batch.summary["matched_now"] == COUNT - 1
+    out, content = tmp_path / "out", (photos / LATE).read_bytes()
+    (photos / LATE).write_bytes(content[: len(content) // 2])
+    assert list(chain(photos, out).summary["bad_images"]) == [LATE]
+    (photos / LATE).write_bytes(content)
+    batch = chain(photos, out, resume=True)
+    assert batch.summary["bad_images"] == {} and batch.summary["matched_now"] == 2
     assert_same_result(out, whole)
-    again = run_sift(photos, out, resume=True, start_workers=killed_after(0))
+    again = chain(photos, out, resume=True, start_workers=killed_after(0))
     assert again.summary == batch.summary
     (out / "matches.h5").unlink()
-    assert run_sift(photos, out, resume=True).summary["matched_now"] == 0
+    assert chain(photos, out, resume=True).summary["matched_now"] == 0
     assert_same_result(out, whole)
-    os.utime(photos / LAST, (10**9, 10**9))
+    os.utime(photos / LATE, (10**9, 10**9))
     with pytest.raises(Killed):
-        run_sift(photos, out, resume=True, start_workers=killed_after(1))
-    assert run_sift(photos, out, resume=True).summary["matched_now"] == COUNT - 2
+        chain(photos, out, resume=True, start_workers=killed_after(1))
+    assert chain(photos, out, resume=True).summary["matched_now"] == 1
     assert_same_result(out, whole)
 
 
@@ -116,27 +122,27 @@ def test_a_picture_that_only_one_run_could_read_is_told(photos, tmp_path):
     out, picture = tmp_path / "out", photos / "view3.png"
     content = picture.read_bytes()
     picture.write_bytes(b"")
-    run_sift(photos, out, pairs="sequential:1")
+    chain(photos, out)
     picture.write_bytes(content)
     could_not = r"view3\.png could not be read by that batch \(empty\): resume needs the same$"
     with pytest.raises(InputError, match=could_not):
-        run_sift(photos, out, pairs="sequential:1", resume=True)
-    run_sift(photos, tmp_path / "whole", pairs="sequential:1")
+        chain(photos, out, resume=True)
+    chain(photos, tmp_path / "whole")
     picture.write_bytes(b"")
     with pytest.raises(InputError, match=r"view3\.png was read by that .* read now \(empty\): "):
-        run_sift(photos, tmp_path / "whole", pairs="sequential:1", resume=True)
+        chain(photos, tmp_path / "whole", resume=True)
 
 
 def test_a_mask_that_changed_is_matched_again(photos, tmp_path):
     """The pairs of its photograph are; so are those of a photograph that gets a mask."""
     out, other, masks = tmp_path / "out", tmp_path / "other", tmp_path / "masks"
     write_masks(masks, ["view0.png"])
-    chain = partial(run_sift, photos, masks=masks, pairs="sequential:1")
-    chain(out)
+    with_masks = partial(chain, photos, masks=masks)
+    with_masks(out)
     for name, share, pairs in (("view0.png", 0.3, 1), ("view1.png", 0.5, 2)):
         write_masks(masks, [name], share)
-        assert chain(out, resume=True).summary["matched_now"] == pairs
-    chain(other)
+        assert with_masks(out, resume=True).summary["matched_now"] == pairs
+    with_masks(other)
     assert_same_result(out, other)
 
 
@@ -154,11 +160,11 @@ def test_a_changed_photograph_of_a_camera_by_its_lines_is_matched_again(tmp_path
 
 
 def _raising(error):
-    """`SiftMatcher._match`, but raising once an image is LAST."""
+    """`SiftMatcher._match`, but raising once an image is LATE."""
     match = SiftMatcher._match
 
     def raising(matcher, image1, image2):
-        if image2.name.endswith(LAST):
+        if any(image.name.endswith(LATE) for image in (image1, image2)):
             raise error
         return match(matcher, image1, image2)
 
@@ -171,16 +177,17 @@ def test_a_failure_is_no_bad_input_and_is_matched_again(photos, whole, tmp_path,
     with monkeypatch.context() as patch:
         patch.setattr(SiftMatcher, "_match", _raising(MemoryError("60 GiB")))
         with pytest.raises(MemoryError, match="60 GiB"):
-            run_sift(photos, out)
+            chain(photos, out)
         with pytest.raises(InputError, match="unfinished"):
             read_batch(out)
         patch.undo()
         patch.setattr(SiftMatcher, "_match", _raising(np.linalg.LinAlgError("singular")))
-        batch = run_sift(photos, out, resume=True)
-    failed = [(row.name2, row.reason) for row in batch.rows if row.status == "failed"]
-    assert failed == [(LAST, "LinAlgError: singular")] * (COUNT - 1)
-    assert batch.summary["failed_pairs"] == COUNT - 1 and batch.summary["bad_pairs"] == 0
-    assert run_sift(photos, out, resume=True).summary["matched_now"] == COUNT - 1
+        batch = chain(photos, out, resume=True)
+    failed = [(row.names, row.reason) for row in batch.rows if row.status == "failed"]
+    pairs = ("view1.png", LATE), (LATE, "view3.png")
+    assert failed == [(pair, "LinAlgError: singular") for pair in pairs]
+    assert batch.summary["failed_pairs"] == 2 and batch.summary["bad_pairs"] == 0
+    assert chain(photos, out, resume=True).summary["matched_now"] == 2
     assert_same_result(out, whole)
 
 
