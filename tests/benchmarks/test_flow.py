@@ -15,7 +15,9 @@ def _picture(x: np.ndarray, y: np.ndarray) -> Image:
     rng = np.random.default_rng(0)
     value = np.zeros_like(x)
     for _ in range(40):
-        angle, length, phase = rng.uniform(0, 2 * np.pi), rng.uniform(8, 60), rng.uniform(0, 6)
+        angle = rng.uniform(0, 2 * np.pi)
+        length = rng.uniform(8, 60)
+        phase = rng.uniform(0, 6)
         value += np.sin(2 * np.pi * (np.cos(angle) * x + np.sin(angle) * y) / length + phase)
     grey = np.clip(128 + 14 * value, 0, 255).round().astype(np.uint8)
     return Image(np.ascontiguousarray(np.repeat(grey[..., None], 3, 2)))
@@ -37,7 +39,8 @@ def _plane(size: tuple[int, int], width: float, height: float) -> tuple[np.ndarr
 def test_the_map_leads_from_image_2_into_image_1(sizes, plane) -> None:
     """Image 2 shows the plane shifted and rotated a little; large images are shrunk and their maps
     scaled, each axis of each image by its own factor."""
-    angle, shift = 0.01, (4.0, -2.5)
+    angle = 0.01
+    shift = (4.0, -2.5)
     x, y = _plane(sizes[1], *plane)
     moved = (x - angle * y + shift[0], y + angle * x + shift[1])
     matcher = FlowMatcher()
@@ -49,7 +52,8 @@ def test_the_map_leads_from_image_2_into_image_1(sizes, plane) -> None:
     assert len(result.matches) == len(selected) > 500 and result.matches.weights is None
     assert (found.size1, found.size2) == sizes
     # From the grid by the formula above, in plane units and back to pixels of image 1.
-    unit1, unit2 = np.divide(sizes[0], plane), np.divide(sizes[1], plane)
+    unit1 = np.divide(sizes[0], plane)
+    unit2 = np.divide(sizes[1], plane)
     u, v = np.moveaxis((found.grid + 0.5) / unit2, -1, 0)
     expected = np.stack([u - angle * v + shift[0], v + angle * u + shift[1]], -1) * unit1 - 0.5
     error = np.linalg.norm((found.map - expected) / unit1, axis=-1)[16:-16, 16:-16]

@@ -35,7 +35,8 @@ SHIFT = np.array([3.0, -1.5])  # pixels
 
 def test_the_map_takes_a_pixel_through_both_resizes_and_the_inverse_up_to_the_horizon() -> None:
     found, valid = true_map(scene.H, scene.SIZE1, scene.SIZE2)
-    (w1, h1), (w2, h2) = scene.SIZE1, scene.SIZE2
+    w1, h1 = scene.SIZE1
+    w2, h2 = scene.SIZE2
     inverse = np.linalg.inv(scene.H)
     seen = []
     for y, x in [(0, 0), (7, 231), (120, 120), (200, 30), (239, 239)]:
@@ -118,7 +119,8 @@ class Stretching(Matcher):
 
 def _pair(truth: np.ndarray) -> MapPairs:
     """A pair whose source is black and whose target is white, without the truth of a row."""
-    image, visible = torch.ones(1, 3, 240, 240), torch.ones(1, 240, 240, dtype=torch.bool)
+    image = torch.ones(1, 3, 240, 240)
+    visible = torch.ones(1, 240, 240, dtype=torch.bool)
     visible[0, 0] = False
     true = torch.tensor(truth).float()[None]
     return MapPairs(0 * image, image, true, visible, torch.ones_like(visible))
@@ -160,14 +162,16 @@ def distances_of(pair: Comparison) -> dict[tuple[int, int], float]:
 def test_figures_of_pairs_and_their_means_over_a_group() -> None:
     """Errors of valid pixels, both meanings of the mask, means over pairs and curves over pixels. A
     pair with nothing to find has no error and takes no part."""
-    truth, points = np.zeros((1, 2, 2)), np.array([[[3.0, -4.0], [1.0, 1.0]]])
+    truth = np.zeros((1, 2, 2))
+    points = np.array([[[3.0, -4.0], [1.0, 1.0]]])
     errors, _ = level_errors(points, truth, np.array([[True, False]]))
     assert errors.tolist() == [[5.0, math.inf]]
     pairs = [comparison(0), comparison(1), comparison(2, blind=True)]
     own = [score_map("net", "I", str(index), pair) for index, pair in enumerate(pairs)]
     limits = [*PCK_THRESHOLDS, 1, 3, 5]
     for found, pair in zip(own[:2], pairs, strict=False):
-        near, matchability = distances_of(pair), pair[1]
+        near = distances_of(pair)
+        matchability = pair[1]
         distances = [*near.values()]
         assert found.valid == len(distances) > 50
         assert found.means["aepe"] == found.means["aepe240"] == pytest.approx(np.mean(distances))

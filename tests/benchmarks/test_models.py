@@ -115,7 +115,8 @@ def test_the_pairs_of_a_batch_are_scored(scene: tuple[Path, Path, list[View]]) -
         names = ("view0.png", f"view{number}.png")
         relative = _relative(dict(views.poses), *names)
         turn = Rotation.from_rotvec([0, np.radians(number - 1), 0]).as_matrix()
-        R, t = turn @ relative[:3, :3], relative[:3, 3]
+        R = turn @ relative[:3, :3]
+        t = relative[:3, 3]
         pose = RelativePose("ok", "", np.ones(9, bool), 9, R, -t if number < 2 else t)
         rows.append(row_of(names, pose, 1.0))
     rows.append(PairRow("view1.png", "view2.png", "bad_input", ""))

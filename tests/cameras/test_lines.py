@@ -73,15 +73,18 @@ def _drawn(*segments: np.ndarray) -> np.ndarray:
 def _scribble(seed: int, count: int) -> np.ndarray:
     """Segments in any direction."""
     rng = np.random.default_rng(seed)
-    first, angle = rng.uniform(0, SIZE, (count, 2)), rng.uniform(0, np.pi, count)
+    first = rng.uniform(0, SIZE, (count, 2))
+    angle = rng.uniform(0, np.pi, count)
     along = np.column_stack([np.cos(angle), np.sin(angle)])
     return _drawn(*np.stack([first, first + rng.uniform(40, 200, (count, 1)) * along], 1))
 
 
 def _grid(angle_deg: float) -> np.ndarray:
     """A plane that the camera faces: its lines meet at infinity, whatever the focal length."""
-    angle, middle = np.radians(angle_deg), (np.array(SIZE) - 1) / 2
-    u, v = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+    angle = np.radians(angle_deg)
+    middle = (np.array(SIZE) - 1) / 2
+    u = np.array([np.cos(angle), np.sin(angle)])
+    v = np.array([-np.sin(angle), np.cos(angle)])
     offsets = 90 * np.arange(-10, 11)
     return _drawn(
         *(
@@ -131,7 +134,8 @@ def test_a_picture_without_segments_tells_nothing(picture: np.ndarray) -> None:
 
 def test_lines_on_masked_pixels_do_not_count() -> None:
     """A picture of another focal length is glued over a part of it."""
-    pixels, mask = box_picture(0.8), np.ones(SIZE[::-1], bool)
+    pixels = box_picture(0.8)
+    mask = np.ones(SIZE[::-1], bool)
     mask[:, :400] = False
     glued = pixels.copy()
     glued[:, :400] = box_picture(2.5, (45, 10, 0), seed=2)[:, :400]
@@ -155,7 +159,8 @@ def test_likelihoods_by_scores(count: int) -> None:
     np.testing.assert_allclose(calibrated(scores, count), expected, atol=1e-12)
 
 
-USUAL, TAIL = Part(math.log(0.85), math.log(0.9), 0.35), Part(math.log(0.15), math.log(2.0), 0.7)
+USUAL = Part(math.log(0.85), math.log(0.9), 0.35)
+TAIL = Part(math.log(0.15), math.log(2.0), 0.7)
 FLAT = np.zeros(len(LOG_FOCALS))
 
 
@@ -172,7 +177,8 @@ def _integrated(part: Part, lines: np.ndarray) -> Part:
     density = np.exp(np.interp(at, LOG_FOCALS, lines)) * norm.pdf(at, part.log_focal, part.std)
     density[[0, -1]] /= 2
     total = density.sum()
-    mean, square = density @ at / total, density @ at**2 / total
+    mean = density @ at / total
+    square = density @ at**2 / total
     log_weight = part.log_weight + math.log(total * step)
     return Part(log_weight, mean, math.sqrt(square - mean**2))
 
@@ -208,7 +214,8 @@ def test_the_likelier_part_comes_first(focal: float, usual_first: bool) -> None:
 
 def test_lines_of_many_images_count_by_the_root_of_their_number() -> None:
     """All of one or two, half of 8."""
-    focal_prior, lines = FocalPrior(USUAL, TAIL, FLAT), _lines(1.1, 0.2, 1.0)
+    focal_prior = FocalPrior(USUAL, TAIL, FLAT)
+    lines = _lines(1.1, 0.2, 1.0)
     for many, few in (
         ([lines, lines], [2 * lines]),
         (8 * [lines], [4 * lines]),

@@ -208,7 +208,8 @@ BLANK = Image(np.full((720, 960, 3), 90, np.uint8))
 def test_a_camera_is_the_usual_part_of_its_belief(image: Header) -> None:
     """Beside which there are long lenses, or EXIF data of another image."""
     camera = auto_camera(image)
-    usual, tail = camera.focal_prior.usual, camera.focal_prior.tail
+    usual = camera.focal_prior.usual
+    tail = camera.focal_prior.tail
     main = with_part(camera, usual)
     np.testing.assert_allclose(main.K, camera.K, rtol=1e-9)
     assert main.focal_std == camera.focal_std == usual.std
@@ -272,7 +273,8 @@ def test_images_of_one_camera_count_together() -> None:
 
 def test_a_stated_camera_has_no_lines() -> None:
     K = "1700,1700,480,360"
-    stated, alone = pair_cameras(K, K, BOX, BOX), pair_cameras(K, None, BOX, BOX)
+    stated = pair_cameras(K, K, BOX, BOX)
+    alone = pair_cameras(K, None, BOX, BOX)
     for camera in (*stated, alone[0]):
         assert (camera.focal, camera.focal_source, camera.focal_prior) == (1700, "given", None)
         assert (camera.exact, camera.warnings) == (True, ())

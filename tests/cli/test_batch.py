@@ -56,7 +56,8 @@ def test_a_batch_ends_with_a_table_and_its_files(
 @pytest.mark.parametrize("name", ["100%20real #3? [1]", os.fsdecode(b"h\xfctte")], ids=ascii)
 def test_folders_and_photographs_may_have_any_name(photos: Path, tmp_path: Path, name: str) -> None:
     """Line breaks and control characters of a name are not printed."""
-    views, out = tmp_path / name, tmp_path / "results" / name
+    views = tmp_path / name
+    out = tmp_path / "results" / name
     shutil.copytree(photos, views)
     for i in range(3):
         (views / f"view{i}.png").rename(views / f"{i}\x1b]0;title\x07\n.png")
@@ -130,7 +131,8 @@ def test_images_without_a_K_beside_others_with_one_are_counted(
 
 def test_photographs_without_a_pose_or_of_no_use(photos: Path, tmp_path: Path) -> None:
     """`batch` and `reconstruct` exit with 3 without a pose, and with 2 if no image can be used."""
-    nothing, bad = tmp_path / "nothing", tmp_path / "bad"
+    nothing = tmp_path / "nothing"
+    bad = tmp_path / "bad"
     nothing.mkdir()
     rng = np.random.default_rng(0)
     for name in "abc":

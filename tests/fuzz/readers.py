@@ -44,7 +44,9 @@ def _make_images(folder):
 
         pillow_heif.from_pillow(picture).save(folder / "plain.heic")
     exif = picture.getexif()
-    exif[0x0112], exif[0x010F], exif[0x0110] = 6, "Canon", "EOS"
+    exif[0x0112] = 6
+    exif[0x010F] = "Canon"
+    exif[0x0110] = "EOS"
     exif.get_ifd(0x8769).update({0x920A: IFDRational(35, 1), 0xA405: 35, 0xA002: 80, 0xA003: 60})
     picture.save(folder / "turned.jpeg", exif=exif)
     picture.convert("P").save(folder / "palette.png")

@@ -20,8 +20,15 @@ from dgc_pose.images.image import load_image, size_in_file
 pytestmark = pytest.mark.filterwarnings("ignore")  # of Pillow, about damaged blocks
 
 NOISE = np.random.default_rng(0).integers(0, 256, (300, 400, 3), np.uint8)  # over 2**17 bytes
-FOCAL, FILM, ZOOM, LENS = 0x920A, 0xA405, 0xA404, 0xA434
-WIDTH, HEIGHT, PLANE_X, PLANE_Y, PLANE_UNIT = 0xA002, 0xA003, 0xA20E, 0xA20F, 0xA210
+FOCAL = 0x920A
+FILM = 0xA405
+ZOOM = 0xA404
+LENS = 0xA434
+WIDTH = 0xA002
+HEIGHT = 0xA003
+PLANE_X = 0xA20E
+PLANE_Y = 0xA20F
+PLANE_UNIT = 0xA210
 TAGS = {
     FOCAL: IFDRational(51, 10),
     FILM: 26,
@@ -117,7 +124,8 @@ def test_files_of_other_channels_and_depths_become_rgb_of_8_bits(
         converted.save(tmp_path / "a.png")
         expected = np.asarray(converted.convert("RGBA"))[:, :, :3]
         np.testing.assert_array_equal(load_image(tmp_path / "a.png").pixels, expected)
-    low, high = int(rgb.min()), int(rgb.max())
+    low = int(rgb.min())
+    high = int(rgb.max())
     stretched = np.round((rgb.astype(float) - low) / (high - low) * 255)
     for suffix, top in (("png", 65535), ("tiff", 4095)):
         path = tmp_path / f"deep.{suffix}"
@@ -134,7 +142,8 @@ def test_files_of_other_channels_and_depths_become_rgb_of_8_bits(
 
 def raw_file(order: str, tag: int, value: int) -> bytes:
     """A TIFF whose tags, one of them of a thumbnail or of a DNG, are at the end."""
-    start, at = b"II*\0" if order == "<" else b"MM\0*", 200_000
+    start = b"II*\0" if order == "<" else b"MM\0*"
+    at = 200_000
     tags = struct.pack(order + "HHHIIHHIII", 2, 256, 4, 1, 9, tag, 4, 1, value, 0)
     return start + struct.pack(order + "I", at) + bytes(at - 8) + tags
 

@@ -116,7 +116,8 @@ def _numbers(folder: Path) -> list[int]:
 
 def test_the_sharpest_frame_of_each_part_is_taken_once(tmp_path: Path) -> None:
     """And anew of another video. The folder may lie in one that is still missing."""
-    video, folder = tmp_path / "a.avi", tmp_path / "new" / "frames"
+    video = tmp_path / "a.avi"
+    folder = tmp_path / "new" / "frames"
     write_video(video, _frames(30, {2, 13, 14, 25}))
     assert frames_folder(video, 3, folder) == folder
     assert _numbers(folder) in ([2, 13, 25], [2, 14, 25])

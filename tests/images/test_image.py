@@ -28,7 +28,8 @@ def test_floats_within_0_and_1_are_multiplied_and_others_stretched(rgb: np.ndarr
     half = rgb.astype(np.float32) / 510
     np.testing.assert_allclose(load_image(half).pixels, rgb / 2, atol=0.51)
     stretched = load_image(rgb.astype(np.float64) * 7 - 300).pixels
-    low, high = float(rgb.min()), float(rgb.max())
+    low = float(rgb.min())
+    high = float(rgb.max())
     np.testing.assert_allclose(stretched, (rgb - low) / (high - low) * 255, atol=0.51)
     np.testing.assert_array_equal(load_image(rgb > 99).pixels, (rgb > 99) * 255)
     assert load_image(np.full((4, 5), 700, np.uint16)).pixels.max() == 0
@@ -45,8 +46,10 @@ def test_a_few_pixels_far_off_do_not_decide_of_the_range(value: float, share: fl
     off[0, 0] = True
     dirty = np.where(off, value, clean.astype(np.float64))
     if 0 <= value <= 65535:
-        dirty, clean = dirty.astype(np.uint16), clean.astype(np.uint16)
-    alone, shown = load_image(clean).pixels[..., 0], load_image(dirty).pixels[..., 0]
+        dirty = dirty.astype(np.uint16)
+        clean = clean.astype(np.uint16)
+    alone = load_image(clean).pixels[..., 0]
+    shown = load_image(dirty).pixels[..., 0]
     assert np.ptp(shown[~off].astype(int)) > 85
     slope, offset = np.polyfit(alone[~off], shown[~off], 1)
     assert slope > 1 / 3 and np.abs(slope * alone + offset - shown)[~off].max() < 2
@@ -55,7 +58,8 @@ def test_a_few_pixels_far_off_do_not_decide_of_the_range(value: float, share: fl
 
 def test_resize_follows_the_half_pixel_rule() -> None:
     """A ramp stays that of the half-pixel rule: shrunk, enlarged, or each along one axis."""
-    height, width = 300, 480
+    height = 300
+    width = 480
     x = np.arange(width) * 0.5
     ramp = np.repeat(np.repeat(x[None, :, None], height, 0), 3, 2)
     for size in ((240, 240), (960, 600), (240, 600), (960, 100)):
@@ -105,7 +109,8 @@ def test_an_error_about_an_image_names_the_argument(source: Any, words: str) -> 
 def cut_out(rgb: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Alpha of 0, 1 and 255, and the pixels where it is not 0."""
     alpha = np.full(rgb.shape[:2], 255, np.uint8)
-    alpha[:30, 40:], alpha[30:40, 40:] = 0, 1
+    alpha[:30, 40:] = 0
+    alpha[30:40, 40:] = 1
     return alpha, alpha > 0
 
 
@@ -141,7 +146,8 @@ def test_alpha_of_arrays_and_tensors_is_a_mask(rgb: np.ndarray) -> None:
     for source in (array, torch.from_numpy(array).permute(2, 0, 1)):
         np.testing.assert_array_equal(load_image(source).mask, used)
     dirty = array.copy()
-    dirty[~used, 0], dirty[~used, 1] = np.nan, 1e9
+    dirty[~used, 0] = np.nan
+    dirty[~used, 1] = 1e9
     np.testing.assert_array_equal(load_image(dirty).pixels, load_image(array).pixels)
     array[:, :, 3] = 1
     assert load_image(array).mask is None

@@ -33,7 +33,8 @@ def test_black_and_alpha_0_are_ignored(tmp_path: Path) -> None:
     """In 16 bit, one bit, colours of which only one is not 0, and under alpha of white."""
     blue = np.zeros((40, 60, 3), np.uint8)
     blue[USED, 0] = 1
-    white, alpha = np.full((40, 60, 1), 255, np.uint8), USED[..., None] * np.uint8(9)
+    white = np.full((40, 60, 1), 255, np.uint8)
+    alpha = USED[..., None] * np.uint8(9)
     cut_out = np.dstack([white, white, white, alpha])
     for pixels in (USED * np.uint16(700), blue, cut_out):
         assert cv2.imwrite(str(tmp_path / "mask.png"), pixels)

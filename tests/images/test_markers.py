@@ -39,7 +39,8 @@ def test_markers_of_several_images(tmp_path: Path) -> None:
         draw_markers(texture(SIZE), K, POSE, {name: square(0.07, (x, 0.0, 1.0))})
         for name, x in (("4X4_1000:2", 0.0), ("4X4_1000:2", 0.1), ("4X4_1000:5", 0.0))
     )
-    file, damaged = tmp_path / "third.png", tmp_path / "damaged.png"
+    file = tmp_path / "third.png"
+    damaged = tmp_path / "damaged.png"
     cv2.imwrite(str(file), third)
     damaged.write_bytes(b"no image")
     images = {"first": first, "file": file, "damaged": damaged, "second": second}

@@ -13,7 +13,8 @@ def test_outputs_appear_together_at_the_end_or_all_is_as_before(tmp_path):
     """With the rights of any new file, and a link stays a link."""
     (tmp_path / "kept").write_text("old")
     (tmp_path / "link").symlink_to(tmp_path / "kept")
-    first, second = str(tmp_path / "one.txt"), str(tmp_path / "link")
+    first = str(tmp_path / "one.txt")
+    second = str(tmp_path / "link")
     with pytest.raises(RuntimeError), staged(first, second) as stage:
         stage(second).write_text("half")
         raise RuntimeError
@@ -29,7 +30,8 @@ def test_outputs_appear_together_at_the_end_or_all_is_as_before(tmp_path):
 
 
 def test_errors_of_the_writing_have_the_outputs_name(tmp_path):
-    out, missing = str(tmp_path / "a.txt"), str(tmp_path / "nowhere" / "b.txt")
+    out = str(tmp_path / "a.txt")
+    missing = str(tmp_path / "nowhere" / "b.txt")
     with pytest.raises(OSError) as caught, staged(out) as stage, naming_path(stage(out)):
         raise OSError(errno.ENOSPC, "No space left on device")
     assert caught.value.filename == out and caught.value.errno == errno.ENOSPC

@@ -8,7 +8,8 @@ from dgc_pose.viz.figure import save_figure
 
 def test_a_panel_has_a_curve_of_each_method_that_has_the_quantity(tmp_path):
     """A method may be called as a formula."""
-    errors, lost = np.array([3.0, np.inf, 1.0, 9.0, 3.0]), np.full(5, np.inf)
+    errors = np.array([3.0, np.inf, 1.0, 9.0, 3.0])
+    lost = np.full(5, np.inf)
     fields = ("rotation_error_deg", "translation_error_deg", "epipolar_confident_px")
     methods = {
         name: {**dict.fromkeys(fields, own), "epipolar_all_px": everywhere}

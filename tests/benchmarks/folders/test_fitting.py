@@ -22,7 +22,9 @@ from dgc_pose.matches import Matches
 from dgc_pose.training.posed_frames import PosedFrame
 from dgc_pose.training.views import Cameras, about_axis
 
-SIZE, FOCAL, DEPTH = (64, 48), 50.0, 4.0
+SIZE = (64, 48)
+FOCAL = 50.0
+DEPTH = 4.0
 K = torch.tensor([[FOCAL, FOCAL, 31.5, 23.5]])
 
 
@@ -36,7 +38,8 @@ def _view(x: float, part: str = "A") -> View:
 def _pair(points1, points2, R=None, t=(-1.0, 0.0, 0.0), inliers=None) -> MatchedPair:
     matches = Matches(points1, points2, np.ones(len(points1)), 1.0)
     inliers = np.ones(len(points1), bool) if inliers is None else inliers
-    R, t = np.eye(3) if R is None else R, None if t is None else np.array(t)
+    R = np.eye(3) if R is None else R
+    t = None if t is None else np.array(t)
     pose = RelativePose("ok", "", inliers, len(points1), R, t)
     return MatchedPair(row_of(("a", "b"), pose, 1.0), matches)
 
@@ -46,9 +49,11 @@ def _points(count: int = 40) -> np.ndarray:
 
 
 def test_a_pair_shows_one_place_if_half_of_its_inliers_land():
-    points, shift = _points(), np.array([FOCAL / DEPTH, 0.0])
+    points = _points()
+    shift = np.array([FOCAL / DEPTH, 0.0])
     is_right = partial(shows_one_place, {"a": _view(0), "b": _view(1)})
-    true, elsewhere = points - shift, points - shift + (12, 0)
+    true = points - shift
+    elsewhere = points - shift + (12, 0)
     assert is_right(_pair(points, true + (5, 3)))
     assert not is_right(_pair(points, elsewhere))  # as a shelf is, a place further
     for wrong, right in ((18, True), (22, False)):
@@ -58,7 +63,8 @@ def test_a_pair_shows_one_place_if_half_of_its_inliers_land():
     views = {"a": _view(0), "b": _view(1, part="B")}
     assert not shows_one_place(views, _pair(points, true))
     # A point beside an edge has the depth of what is behind in one of the images alone.
-    first, second = _view(0), _view(1)
+    first = _view(0)
+    second = _view(1)
     first.depth[:] = 1.5
     assert shows_one_place({"a": first, "b": second}, _pair(points, true))
     second.depth[:] = 1.5
@@ -77,7 +83,8 @@ def test_a_pose_is_right_within_ten_degrees_and_t_counts_with_a_baseline():
         frames = {"a": _frame(0), "b": _frame(baseline)}
         return has_right_pose(frames, _pair(_points(), _points(), R, t))
 
-    left, up = (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
+    left = (-1.0, 0.0, 0.0)
+    up = (0.0, 1.0, 0.0)
     assert is_right(1.0, 9.0, left) and not is_right(1.0, 11.0, left)
     assert not is_right(1.0, 0.0, up) and not is_right(1.0, 0.0, (1.0, 0.0, 0.0))
     assert is_right(0.41, 0.0, left) and not is_right(0.41, 0.0, up)

@@ -68,7 +68,9 @@ def _stored(pieces: list[dict]) -> list[dict]:
 
 @pytest.mark.slow
 def test_models_and_report_come_of_records_alone():
-    matcher, sources, pieces = _Scenes(), [], []
+    matcher = _Scenes()
+    sources = []
+    pieces = []
     for part in PARTS:
         source, pairs = _pairs(matcher, part, 88 if part == "fit" else 24)
         pieces += [collect(pair, {"a": matcher}, OPTIONS) for pair in pairs]
@@ -101,7 +103,8 @@ def test_records_have_the_pose_its_evidence_and_the_lines(tmp_path):
     images = [Image(box_picture(focal)) for focal in (0.8, 1.2)]
     cameras = [pinhole(focal * 960, (960, 720)) for focal in (0.8, 1.2)]
     scene = two_view_scene("general", count=40)
-    matcher, source = _Scenes(), PlanEntry("boxes", "fit", "list")
+    matcher = _Scenes()
+    source = PlanEntry("boxes", "fit", "list")
     matcher.matches = scene.matches
     made = PosedPair(*images, *cameras, scene.R, scene.t)
     pair = PlannedPair(source, 3, "place", lambda: made)
@@ -145,9 +148,12 @@ CHOICE = 1.5  # log-odds for a unit of the likelihood
 def _records(count: int, seed: int, part: Part) -> list[Record]:
     """Poses whose chance to be right is a known function of three numbers."""
     rng = np.random.default_rng(seed)
-    found, entry = [], PlanEntry("s", part, "list")
+    found = []
+    entry = PlanEntry("s", part, "list")
     for k in range(count):
-        ratio, cells, agreement = rng.random(), rng.integers(5, 120), rng.random()
+        ratio = rng.random()
+        cells = rng.integers(5, 120)
+        agreement = rng.random()
         odds = 6 * (ratio - 0.5) + 2 * np.log(cells / 25) + 2 * (agreement - 0.5)
         right = rng.random() < 1 / (1 + np.exp(-odds))
         own = 0.3 * np.exp(rng.normal())
@@ -207,7 +213,9 @@ def test_the_place_is_logistic_in_its_surroundings_and_certain_of_too_few():
 
 def test_the_fit_of_the_lines_finds_how_sure_they_are():
     """With focal lengths that are drawn from the posterior that such numbers have."""
-    rng, sharpness, chance = np.random.default_rng(0), 2.5, 0.05
+    rng = np.random.default_rng(0)
+    sharpness = 2.5
+    chance = 0.05
     usual = np.exp(-(((LOG_FOCALS - np.log(0.9)) / 0.35) ** 2) / 2) / 0.35
     tail = np.exp(-(((LOG_FOCALS - np.log(2.0)) / 0.7) ** 2) / 2) / 0.7
     prior = 0.85 * usual + 0.15 * tail
@@ -215,7 +223,8 @@ def test_the_fit_of_the_lines_finds_how_sure_they_are():
     for _ in range(1000):
         focals = []
         for _ in range(2):
-            peak, count = rng.normal(0, 0.5), int(rng.integers(20, 160))
+            peak = rng.normal(0, 0.5)
+            count = int(rng.integers(20, 160))
             own = 0.3 + 0.6 * np.exp(-(((LOG_FOCALS - peak) / 0.3) ** 2))
             odds = np.exp(sharpness * np.sqrt(count) * (own - own.max()))
             odds = ((1 - chance) * odds / odds.mean() + chance) * prior

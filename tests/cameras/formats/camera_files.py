@@ -214,7 +214,8 @@ def _write_storage(path: Path, values: Storage) -> None:
 def assert_lens(camera: Camera, coefficients: Any, is_fisheye: bool = False) -> None:
     """OpenCV projects the camera's rays back onto the pixels."""
     pixels = np.random.default_rng(0).uniform((100, 80), (540, 400), (30, 2))
-    points, lens = camera.normalise(pixels), np.array(coefficients, np.float64)
+    points = camera.normalise(pixels)
+    lens = np.array(coefficients, np.float64)
     if is_fisheye:
         again = cv2.fisheye.distortPoints(points[:, None], camera.K, lens)
     else:

@@ -120,7 +120,8 @@ def test_a_database(tmp_path: Path) -> None:
     with pycolmap.Database.open(tmp_path / "a.db") as database:
         for number, known in ((1, True), (2, False)):
             camera = _theirs("OPENCV")
-            camera.camera_id, camera.has_prior_focal_length = number, known
+            camera.camera_id = number
+            camera.has_prior_focal_length = known
             database.write_camera(camera, use_camera_id=True)
         for number, name in ((1, "b.png"), (2, "d/a.png"), (3, "c.png")):
             image = pycolmap.Image(name=name, camera_id=1 + number % 2, image_id=number)

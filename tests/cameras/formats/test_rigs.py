@@ -75,7 +75,8 @@ def test_an_image_has_the_camera_that_its_name_or_its_folder_names(
     tmp_path: Path, file: str, content: Any, focals: dict[str, float]
 ) -> None:
     """Before a list of pairs does. Other images have none, unless it is named beside the file."""
-    path, header = write_file(tmp_path / file, content), Header("PNG", SIZE)
+    path = write_file(tmp_path / file, content)
+    header = Header("PNG", SIZE)
     calibration = read_calibration(path)
     for image, focal in focals.items():
         camera = calibration.camera(tmp_path, f"{image}.png", header)

@@ -114,7 +114,8 @@ def test_all_is_every_cell_that_leads_into_image_1_trusted_or_not(folder):
     words = ("--methods", "off/all", "--limit", "1", "--max-matches", 10**6, "--out", "run")
     result = bench("pairs.txt", *words)
     assert result.exit_code == 0, result.stderr
-    (row,), places = rows_of("run"), dense_scene.true_map(error_px=0.2).map
+    (row,) = rows_of("run")
+    places = dense_scene.true_map(error_px=0.2).map
     inside = (places >= -0.5).all(-1) & (places <= np.array(dense_scene.SIZE) - 0.5).all(-1)
     assert int(row["num_matches"]) == inside.sum()
     # Noise of sigma in image 1 is a distance to the line with a median of 0.67 sigma there; that
