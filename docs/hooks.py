@@ -16,7 +16,7 @@ import click
 
 from dgc_pose.cameras.formats.recognise import FORMATS
 from dgc_pose.cli.main import SECTIONS, main
-from dgc_pose.estimation.camera_model import MODELS
+from dgc_pose.estimation.camera_model import MODELS, odds_text
 from dgc_pose.matchers import MATCHERS
 
 WIDTH = 88  # characters of a line
@@ -50,7 +50,8 @@ def _matchers() -> Iterator[Sequence[str]]:
 def _camera_models() -> Iterator[Sequence[str]]:
     for model in MODELS.values():
         if model.opens:
-            yield f"`{model.name}`", model.opens, model.odds
+            odds = model.odds.format(odds_text(model.log_odds))
+            yield f"`{model.name}`", model.opens, odds
 
 
 TABLES: Mapping[str, Callable[[], Iterator[Sequence[str]]]] = {

@@ -1,5 +1,5 @@
-"""Other cameras that two images may have than the assumed ones, with prior log-odds; and wide
-cameras around what is stated or assumed. `stated_changes` has those in place of a K.
+"""Other cameras that two images may have than the assumed ones, for the rows of `camera_model`; and
+wide cameras around what is stated or assumed. `stated_changes` has those in place of a K.
 
 An assumed camera has a lens of two radial coefficients, square pixels and its principal point near
 the middle, the same in all of its images.
@@ -27,19 +27,16 @@ from dgc_pose.cameras.prior import (
 from dgc_pose.estimation.intrinsics_prior import may_be_crop
 
 Cameras = tuple[Camera, Camera]
-# Prior log-odds of another model without a K: for a picture with EXIF data; for a wide lens; for
-# an edited picture of a sensor's shape; and for a picture of no sensor's shape, which was cut,
-# squeezed or joined.
-_LOG_ODDS_OF_EXIF = -12.0
-_LOG_ODDS_OF_WIDE = -6.0
-_LOG_ODDS_OF_EDITED = -7.0
-_LOG_ODDS_OF_SHAPE = -3.0
+# Prior log-odds of another model without a K, in place of the model's own: for a picture with EXIF
+# data; and for a picture of no sensor's shape, which was cut, squeezed or joined.
+LOG_ODDS_OF_EXIF = -12.0
+LOG_ODDS_OF_SHAPE = -3.0
 _SHAPES = (5 / 4, 4 / 3, 3 / 2, 8 / 5, 16 / 9)  # of sensors: the longer side over the shorter
 _SAME_SHAPE = 0.015  # difference of two shapes' logarithms
 # Prior log-odds of two cameras if the images have one size: without EXIF data, or with the same,
 # where an unknown lens and centre may pass for a zoom.
 LOG_ODDS_OF_TWO = -2.2
-_TWO_OF_EXIF = -20.0
+LOG_ODDS_OF_TWO_WITH_EXIF = -20.0
 _TWO_LENS_STD = 0.02  # deviation of each lens: one camera's zoom hardly changes its lens
 # Deviations of ln f, of the principal point over the longer side, of the lens and of ln fy / fx: of
 # what a model opens, and of the rest of a K that is contradicted in a part, which is not exact.
@@ -64,12 +61,17 @@ class Variant(NamedTuple):
     log_odds: float
 
 
+# From the stated or assumed cameras, and the log-odds of a model, to its variants; none that leaves
+# the cameras as they are.
+Change = Callable[[Cameras, float], Iterator[Variant]]
+
+
 def are_stated(cameras: Cameras) -> bool:
     """Whether both images have a K."""
     return all(camera.focal_source == "given" for camera in cameras)
 
 
-def nothing(stated: Cameras) -> Iterator[Variant]:
+def nothing(stated: Cameras, log_odds: float) -> Iterator[Variant]:
     """No other cameras."""
     return iter(())
 
@@ -170,20 +172,13 @@ def has_sensor_shape(camera: Camera) -> bool:
 # Models without a K
 
 
-def without_K(
-    change: Callable[[Camera], Camera], usual_log_odds: float
-) -> Callable[[Cameras], Iterator[Variant]]:
-    """The variants of a model that changes each camera without a K in the same way."""
+def without_K(change: Callable[[Camera], Camera]) -> Change:
+    """Of a model that changes each camera without a K in the same way."""
 
-    def log_odds(camera: Camera) -> float:
-        if not has_sensor_shape(camera):
-            return _LOG_ODDS_OF_SHAPE
-        return _LOG_ODDS_OF_EXIF if camera.focal_source == "exif" else usual_log_odds
-
-    def variants(stated: Cameras) -> Iterator[Variant]:
+    def variants(stated: Cameras, log_odds: float) -> Iterator[Variant]:
         first, second = (change(camera) if is_open(camera) else camera for camera in stated)
         odds = [
-            log_odds(before)
+            _odds_without_K(before, log_odds)
             for before, changed in zip(stated, (first, second), strict=True)
             if changed is not before
         ]
@@ -191,6 +186,12 @@ def without_K(
             yield Variant((first, second), max(odds))
 
     return variants
+
+
+def _odds_without_K(camera: Camera, log_odds: float) -> float:
+    if not has_sensor_shape(camera):
+        return LOG_ODDS_OF_SHAPE
+    return LOG_ODDS_OF_EXIF if camera.focal_source == "exif" else log_odds
 
 
 def _squeezed(camera: Camera) -> Camera:
@@ -217,24 +218,24 @@ def _wide(distortion: Distortion, over_side: float, focal_std: float) -> Callabl
     return change
 
 
-def tail(stated: Cameras) -> Iterator[Variant]:
+def tail(stated: Cameras, log_odds: float) -> Iterator[Variant]:
     """The less likely part of a focal length's prior: of one camera, or of each of two."""
     if _is_one(stated):
         priors = [camera.focal_prior for camera in stated if camera.focal_prior is not None]
         if len(priors) == 2:
             usual, tail = _parts(stated[0], [prior.lines for prior in priors])
             first, second = (with_part(camera, tail) for camera in stated)
-            yield Variant((first, second), tail.log_weight - usual.log_weight)
+            yield Variant((first, second), log_odds + tail.log_weight - usual.log_weight)
         return
     for number, camera in enumerate(stated):
         if camera.focal_prior is not None:
             usual, tail = _parts(camera, [camera.focal_prior.lines])
             other = with_part(camera, tail)
             cameras = (stated[0], other) if number else (other, stated[1])
-            yield Variant(cameras, tail.log_weight - usual.log_weight)
+            yield Variant(cameras, log_odds + tail.log_weight - usual.log_weight)
 
 
-def two(stated: Cameras) -> Iterator[Variant]:
+def two(stated: Cameras, log_odds: float) -> Iterator[Variant]:
     """A focal length for each image: another zoom; or, with EXIF data, a crop or a zoom of one of
     the images that they do not show."""
     priors = [camera.focal_prior for camera in stated if camera.focal_prior is not None]
@@ -245,13 +246,12 @@ def two(stated: Cameras) -> Iterator[Variant]:
         usual1, usual2 = (prior.usual.given(prior.lines) for prior in priors)
         tail1, tail2 = (prior.tail.given(prior.lines) for prior in priors)
         choices = [(tail1, usual2), (usual1, tail2)]
-        odds_of_two = _TWO_OF_EXIF
+        log_odds = LOG_ODDS_OF_TWO_WITH_EXIF
     else:
         first, second = (prior.parts([prior.lines])[0] for prior in priors)
         choices = [(first, second)]
-        odds_of_two = LOG_ODDS_OF_TWO
     for part1, part2 in choices:
-        odds = odds_of_two + part1.log_weight + part2.log_weight - before.log_weight
+        odds = log_odds + part1.log_weight + part2.log_weight - before.log_weight
         yield Variant((_zoomed(stated[0], part1), _zoomed(stated[1], part2)), odds)
 
 
@@ -276,7 +276,7 @@ def _parts(camera: Camera, lines: Sequence[np.ndarray]) -> tuple[Part, Part]:
     return one, other
 
 
-squeezed = without_K(_squeezed, _LOG_ODDS_OF_EDITED)
-off_centre = without_K(_off_centre, _LOG_ODDS_OF_EDITED)
-fisheye = without_K(_wide(Distortion(FISHEYE, (0.0,) * 4), 0.55, 0.35), _LOG_ODDS_OF_WIDE)
-cylinder = without_K(_wide(Distortion(CYLINDER), 0.6, 0.4), _LOG_ODDS_OF_WIDE)
+squeezed = without_K(_squeezed)
+off_centre = without_K(_off_centre)
+fisheye = without_K(_wide(Distortion(FISHEYE, (0.0,) * 4), 0.55, 0.35))
+cylinder = without_K(_wide(Distortion(CYLINDER), 0.6, 0.4))

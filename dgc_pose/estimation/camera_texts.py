@@ -1,4 +1,5 @@
-"""What the matches agree with, in words: of a camera before its fit and after; "" for nothing."""
+"""What the matches agree with, in words: of a camera before its fit and after; "" for nothing. Here
+are the sentences that several models or other modules use; `camera_model` has the others."""
 
 from __future__ import annotations
 
@@ -34,20 +35,6 @@ def focal(before: Camera, camera: Camera) -> str:
     return f"{focal_text(camera)}, and K states {before.focal:.0f}" if far else ""
 
 
-def lens(before: Camera, camera: Camera) -> str:
-    """Of a lens that K does not state."""
-    if camera.distortion is None or not camera.lens_std:
-        return ""
-    states = "none" if before.distortion is None else before.distortion.model
-    k1 = f"k1 = {camera.distortion.radial[0]:.3f} +- {camera.lens_std:.3f}"
-    return f"a lens of {k1}, and K states {states}"
-
-
-def unlensed(before: Camera, camera: Camera) -> str:
-    """Of no lens where K states one."""
-    return "" if before.distortion is None else f"no lens, and K states {before.distortion.model}"
-
-
 def centre_text(camera: Camera) -> str:
     """The principal point and its deviation."""
     x, y = camera.K[:2, 2]
@@ -65,21 +52,6 @@ def centre(before: Camera, camera: Camera) -> str:
     return f"a principal point of {centre_text(camera)}{cause}, and K states ({x:.0f}, {y:.0f})"
 
 
-def picture(before: Camera, camera: Camera) -> str:
-    """Of a camera as without K."""
-    return f"{focal_text(camera)}, as without K, and K states {before.focal:.0f}"
-
-
-def swapped(before: Camera, camera: Camera) -> str:
-    """Of the K of the other image."""
-    return f"f = {camera.focal:.0f} px, as the K of the other image"
-
-
-def two(camera: Camera) -> str:
-    """Of another zoom."""
-    return f"a different focal length for each image, {focal_text(camera)}"
-
-
 def squeezed(camera: Camera) -> str:
     """Of pixels that are not square."""
     ratio = f"{camera.K[1, 1] / camera.K[0, 0]:.3f} +- {camera.aspect_std:.3f}"
@@ -89,11 +61,6 @@ def squeezed(camera: Camera) -> str:
 def off_centre(camera: Camera) -> str:
     """Of a crop."""
     return f"a principal point of its own, {centre_text(camera)}"
-
-
-def fisheye(camera: Camera) -> str:
-    """Of another projection."""
-    return f"a fisheye, f = {camera.focal:.0f} px"
 
 
 def is_contradicted(stated: Camera, fitted: Camera) -> bool:

@@ -1,4 +1,5 @@
-"""Other cameras that two images may have than those that their K state, with prior log-odds."""
+"""Other cameras that two images may have than those that their K state, for the rows of
+`camera_model`."""
 
 from __future__ import annotations
 
@@ -24,6 +25,7 @@ from dgc_pose.estimation.camera_changes import (
     OPEN_LENS_STD,
     OTHER_FOCAL,
     Cameras,
+    Change,
     Variant,
     are_stated,
     have_one_focal,
@@ -32,24 +34,20 @@ from dgc_pose.estimation.camera_changes import (
 
 # Distance of K's principal point from the middle, over the longer side, from which it is off it.
 _OFF = 0.01
-_LOG_ODDS_OF_CUT = -0.5  # prior log-odds of the middle if K is far from it
+LOG_ODDS_OF_CUT = -0.5  # prior log-odds of the middle if K is far from it
 # Deviations of ln f of a scaled copy of the photograph of K, and of the principal point from the
 # middle of a part of it, over the longer side.
 _CUT_FOCAL_STD = 0.2
 _CUT_CENTRE_STD = 0.2
-# Corrected verticals, which are cut too, or a shift lens: prior log-odds, and the deviation of the
-# principal point over the longer side.
-_LOG_ODDS_OF_SHIFT = -11.0
+# Deviation of the principal point over the longer side, of corrected verticals, which are cut too,
+# or of a shift lens.
 _SHIFT_CENTRE_STD = 0.1
-_LOG_ODDS_OF_PICTURE = -9.0  # of a usual K that says nothing of its picture
 
 
-def in_place_of_K(
-    change: Callable[[Cameras], Cameras], log_odds: float
-) -> Callable[[Cameras], Iterator[Variant]]:
-    """The variants of a model that changes two cameras whose K is stated."""
+def in_place_of_K(change: Callable[[Cameras], Cameras]) -> Change:
+    """Of a model that changes two cameras whose K is stated."""
 
-    def variants(stated: Cameras) -> Iterator[Variant]:
+    def variants(stated: Cameras, log_odds: float) -> Iterator[Variant]:
         if are_stated(stated):
             cameras = change(stated)
             if cameras[0] is not stated[0] or cameras[1] is not stated[1]:
@@ -95,7 +93,7 @@ def _with_K_of(camera: Camera, other: Camera) -> Camera:
     )
 
 
-def _shifted(stated: Cameras) -> Iterator[Variant]:
+def _shifted(stated: Cameras, log_odds: float) -> Iterator[Variant]:
     """The principal point of one image, or of both, far from that of K."""
     first, second = loosened(stated, one=False)
     shifted1, shifted2 = (
@@ -106,17 +104,17 @@ def _shifted(stated: Cameras) -> Iterator[Variant]:
         )
         for camera in (first, second)
     )
-    yield Variant((shifted1, second), _LOG_ODDS_OF_SHIFT)
-    yield Variant((first, shifted2), _LOG_ODDS_OF_SHIFT)
-    yield Variant((shifted1, shifted2), _LOG_ODDS_OF_SHIFT)
+    yield Variant((shifted1, second), log_odds)
+    yield Variant((first, shifted2), log_odds)
+    yield Variant((shifted1, shifted2), log_odds)
 
 
-def centre(stated: Cameras) -> Iterator[Variant]:
+def centre(stated: Cameras, log_odds: float) -> Iterator[Variant]:
     """A principal point near that of K; far from it, as of corrected verticals; or anywhere, as of
     a part of the photograph of K."""
-    yield from _near_centre(stated)
+    yield from _near_centre(stated, log_odds)
     if _have_K_and_pictures(stated):
-        yield from _shifted(stated)
+        yield from _shifted(stated, log_odds)
     if _may_be_cut(stated):
         loose = loosened((_centred(stated[0]), _centred(stated[1])), one=False)
         first, second = (
@@ -125,14 +123,14 @@ def centre(stated: Cameras) -> Iterator[Variant]:
             else camera
             for before, camera in zip(stated, loose, strict=True)
         )
-        yield Variant((first, second), _LOG_ODDS_OF_CUT)
+        yield Variant((first, second), LOG_ODDS_OF_CUT)
 
 
-def middle(stated: Cameras) -> Iterator[Variant]:
+def middle(stated: Cameras, log_odds: float) -> Iterator[Variant]:
     """The principal point in the middle, as of a frame cut from the photograph of K, or scaled."""
     if _have_K_and_pictures(stated) and max(map(from_middle, stated)) >= _OFF:
         cameras = loosened((_centred(stated[0]), _centred(stated[1])), focal=_CUT_FOCAL_STD)
-        yield Variant(cameras, _LOG_ODDS_OF_CUT if _may_be_cut(stated) else -10.0)
+        yield Variant(cameras, LOG_ODDS_OF_CUT if _may_be_cut(stated) else log_odds)
 
 
 def _may_be_cut(stated: Cameras) -> bool:
@@ -154,12 +152,13 @@ def _centred(camera: Camera) -> Camera:
     return replace(camera, K=K)
 
 
-def picture(stated: Cameras) -> Iterator[Variant]:
-    """The cameras as without K: one camera, or one for each image."""
+def picture(stated: Cameras, log_odds: float) -> Iterator[Variant]:
+    """The cameras as without K: one camera, or one for each image. log_odds: for a usual K, which
+    says nothing of its picture."""
     if not _have_K_and_pictures(stated):
         return
     first, second = map(picture_camera, stated)
-    odds = _LOG_ODDS_OF_PICTURE + max(map(improbability, stated))
+    odds = log_odds + max(map(improbability, stated))
     have_one = have_one_focal(stated)
     if first.identity == second.identity:
         yield Variant((first, second), odds + (0.0 if have_one else 2 * LOG_ODDS_OF_TWO))
@@ -167,9 +166,9 @@ def picture(stated: Cameras) -> Iterator[Variant]:
     yield Variant(separate, odds + (LOG_ODDS_OF_TWO if have_one else 0.0))
 
 
-focal = in_place_of_K(partial(loosened, focal=OPEN_FOCAL_STD, one=True), -5.5)
-focals = in_place_of_K(partial(loosened, focal=OPEN_FOCAL_STD, one=False), -8.0)
-lens = in_place_of_K(_lensed, -5.5)
-_near_centre = in_place_of_K(partial(loosened, centre=OPEN_CENTRE_STD), -11.0)
-unlensed = in_place_of_K(_unlensed, -9.0)
-swapped = in_place_of_K(_swapped, -12.0)
+focal = in_place_of_K(partial(loosened, focal=OPEN_FOCAL_STD, one=True))
+focals = in_place_of_K(partial(loosened, focal=OPEN_FOCAL_STD, one=False))
+lens = in_place_of_K(_lensed)
+_near_centre = in_place_of_K(partial(loosened, centre=OPEN_CENTRE_STD))
+unlensed = in_place_of_K(_unlensed)
+swapped = in_place_of_K(_swapped)
