@@ -14,6 +14,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.estimation import RelativePose
 from dgc_pose.estimation.camera_changes import Cameras
+from dgc_pose.estimation.camera_model import MODELS
 from dgc_pose.estimation.probability import shipped_models
 from dgc_pose.images.decoding import Exif
 
@@ -176,6 +177,7 @@ WRONG_K = {
     "f too short": wrong(BOTH, _one(_of_size(1040)), "focal picture"),
     "f too long": wrong(BOTH, _one(_of_size(1690)), "focal picture", scene=FAR),
     "f far too long": wrong(BOTH, _one(_of_size(2080)), "focal picture", scene=NEAR),
+    "f of no photograph": wrong(BOTH, _one(_of_size(6500)), "picture"),
     "K of image 1": wrong(UNLIKE, _two(CAMERA, CAMERA), "focals", told=(2,)),
     "K of image 2": wrong(UNLIKE, _two(ZOOMED, ZOOMED), "focals", told=(1,), scene=NEAR),
     "swapped": wrong(UNLIKE, _two(ZOOMED, CAMERA), "swapped"),
@@ -321,6 +323,14 @@ def _assert_deviations(pose: RelativePose, stated: Cameras, model: str) -> None:
         for name, std in expected.items():
             assert getattr(camera, f"{name}_std") == pytest.approx(std, rel=1e-9)
             assert model != "assumed" or std <= getattr(before, f"{name}_std") * (1 + 1e-9)
+
+
+def test_each_model_is_found_in_a_case() -> None:
+    """Each that contradicts a K is the first that a case names."""
+    found = [case.found.split() for case in CASES.values()]
+    assert {name for names in found for name in names} == MODELS.keys() == {*SAYS, "cylinder"}
+    first = {names[0] for names in found if names}
+    assert {model.name for model in MODELS.values() if model.contradicts_K} <= first
 
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
