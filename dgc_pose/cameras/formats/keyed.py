@@ -90,7 +90,7 @@ def keyed_cameras(data: Mapping[str, Any]) -> Calibration:
     """
     if {*_MATRICES, "fx", *_CAMERAS_OF_A_PAIR}.isdisjoint(data):
         keys = shortened(", ".join(map(str, data)))
-        raise InputError(f"no K and no camera of OpenCV's, ROS's, Kalibr's or NeRF's among {keys}")
+        raise InputError(f"no key of a known camera, such as K or fx, among {keys}")
     present = [key for key in _CAMERAS_OF_A_PAIR if data.get(key)]
     if present:
         parts = {}

@@ -66,7 +66,7 @@ def rig_config(**changes: Any) -> list[Any]:
         ("rig.toml", "[cam_0]\nsize 640\n", "cannot be read as TOML"),
         ("rig.toml", ".".join(["a"] * 9999) + " = 1", "a key of over 100 parts"),
         ("rig.toml", "a = " + "[" * 9999, "cannot be read as TOML"),
-        ("rig.toml", "a = 1", "no K and no camera of"),
+        ("rig.toml", "a = 1", "no key of a known camera, such as K or fx, among a$"),
         ("c.yaml", "a: &x [1]\nb: [*x, *x]\n", r"cannot be read as YAML \(it contains an alias"),
         ("c.yaml", {**ROS, "distortion_model": "thin_prism"}, "'thin_prism' has no COLMAP"),
         ("c.yaml", {**ROS, "distortion_coefficients": [0.1] * 12}, "a thin prism"),
@@ -83,7 +83,7 @@ def rig_config(**changes: Any) -> list[Any]:
             kalibr("none", []).replace("[]\n  T_cn", "[0.1]\n  T_cn"),
             "cam1: the key distortion_coeffs may describe the lens",
         ),
-        ("extri.yml", Storage(names=["1"], R_1=np.ones((3, 1))), "no K and no camera"),
+        ("extri.yml", Storage(names=["1"], R_1=np.ones((3, 1))), "no key of a known camera"),
         (
             "stereo.yml",
             Storage(M1=ROWS, M2=ROWS, D3=LENS),
@@ -93,7 +93,7 @@ def rig_config(**changes: Any) -> list[Any]:
         ("K.json", {"K": [1, 2]}, "K has 2 numbers"),
         ("K.json", {"K": ROWS, "model": "OPENCV", "coefficients": [1]}, "OPENCV takes 4 coeff"),
         ("K.json", {"K": ROWS, "focal_std": math.nan}, "focal_std must be finite and at least 0"),
-        ("K.json", {"intrinsics": [{"fx": 1}]}, "no K and no camera of OpenCV's, .* among intri"),
+        ("K.json", {"intrinsics": [{"fx": 1}]}, "no key of a known .* among intri"),
         (
             "K.json",
             {"camera1": None, "camera2": None},
