@@ -9,6 +9,7 @@ import numpy as np
 
 from dgc_pose.cameras.calibration import camera_data
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.formats.rigs import CALIBRATION
 
 SIZE = (640, 480)
 K = np.array([[500.0, 0, 321.25], [0, 510, 238.5], [0, 0, 1]])
@@ -42,6 +43,10 @@ class Storage(dict[str, Any]):
     """What a cv::FileStorage holds."""
 
 
+class Files(dict[str, Any]):
+    """A file and the others beside it, by name."""
+
+
 def kalibr(model: str, coefficients: list[float]) -> str:
     return KALIBR.format(model=model, coefficients=coefficients)
 
@@ -54,6 +59,7 @@ def table(number: int, lens: Any = LENS[:5], **others: Any) -> dict[str, Any]:
 
 
 FOUR = [500.0, 510.0, 321.25, 238.5]
+COLMAP = [500, 510, 321.75, 239, *LENS[:4]]
 FLAT = {"fx": 500, "fy": 510, "cx": 321.25, "cy": 238.5}
 OTHER = [[400.0, 0, 320], [0, 400, 240], [0, 0, 1]]  # of a second camera
 BY_COLUMNS = K.T.ravel().tolist()
@@ -61,7 +67,7 @@ OPENCV = {"image_width": 640, "image_height": 480, "camera_matrix": ROWS}
 NERF = {"fl_x": 500, "fl_y": 510, "cx": 321.75, "cy": 239, "w": 640, "h": 480}
 POSED = {"transform_matrix": np.eye(4).tolist()}
 RECTIFIED = {"E": np.eye(3), "Q": np.eye(4), "T": [[1.0], [2], [3]], "P1": np.eye(3, 4)}
-RIG = {"camera_model_name": "OPENCV", "camera_params": [500, 510, 321.75, 239, *LENS[:4]]}
+RIG = {"camera_model_name": "OPENCV", "camera_params": COLMAP}
 
 # As camera_calibration_parsers writes it (sensor_msgs/CameraInfo: K of the raw image, row by row).
 ROS = """image_width: 640
@@ -100,89 +106,165 @@ KITTI_RAW = (
 )
 
 
+def _words(values: list[float]) -> str:
+    return " ".join(map(str, values))
+
+
 def ros(model: str, coefficients: list[float]) -> str:
     return ROS.format(model=model, count=len(coefficients), coefficients=coefficients)
 
 
-# Where it is, what the file holds, and OpenCV's coefficients of the lens. Some state no size.
-FORMS: dict[str, tuple[str, Any, list[float]]] = {
-    "OpenCV, YAML": ("a.yml", Storage(OPENCV), []),
-    "OpenCV, XML": ("a.xml", Storage(OPENCV, distortion_coefficients=[LENS[:4]]), LENS[:4]),
-    "OpenCV, JSON": ("a.json", Storage(OPENCV, distortion_coefficients=LENS[:5]), LENS[:5]),
-    "OpenCV, 8": ("a.yml", Storage(OPENCV, distortion_coefficients=[LENS]), LENS),
-    "OpenCV, 12": ("a.xml", Storage(OPENCV, distortion_coefficients=[*LENS, *4 * [0.0]]), LENS),
-    "OpenCV, fisheye": ("a.yml", Storage(OPENCV, fisheye_model=1, D=FISHEYE), FISHEYE),
-    "OpenCV, a fisheye that is told": (
-        "a.yml:fisheye",
-        Storage(image_width=640, image_height=480, cameraMatrix=ROWS, dist_coeffs=FISHEYE),
-        FISHEYE,
-    ),
-    "OpenCV, without a size": ("a.yml", Storage(cameraMatrix=ROWS, dist_coeffs=LENS[:4]), LENS[:4]),
-    "ROS": ("ost.yaml", ros("plumb_bob", LENS[:5]), LENS[:5]),
-    "ROS, rational": ("ost.yaml", ros("rational_polynomial", LENS), LENS),
-    "ROS, fisheye": ("ost.yaml", ros("equidistant", FISHEYE), FISHEYE),
-    "ROS, message": ("ost.yaml", MESSAGE, LENS[:5]),
-    "Kalibr": ("chain.yaml:cam0", kalibr("radtan", LENS[:4]), LENS[:4]),
-    "Kalibr, fisheye": ("chain.yaml:cam0", kalibr("equidistant", FISHEYE), FISHEYE),
-    "Kalibr, none": ("chain.yaml:cam0", kalibr("none", []), []),
-    "EuRoC": ("sensor.yaml", EUROC, LENS[:4]),
-    "stereo, M1, without a size": (
-        "a.yml:M1",
-        Storage(RECTIFIED, M1=ROWS, D1=[LENS[:4]], M2=OTHER, D2=[LENS[:5]]),
-        LENS[:4],
-    ),
-    "stereo, K2, without a size": (
-        "a.yml:K2",
-        Storage(RECTIFIED, K1=OTHER, D1=LENS, K2=ROWS, D2=[[0.0]] * 5),
-        [],
-    ),
-    "stereo, cameraMatrix2, without a size": (
-        "a.yml:cameraMatrix2",
-        Storage(cameraMatrix1=OTHER, distCoeffs1=[0.0] * 4, cameraMatrix2=ROWS, distCoeffs2=LENS),
-        LENS,
-    ),
-    "stereo, plain, fisheye": (
-        "a.yaml:K1",
-        {"K1": ROWS, "D1": FISHEYE, "K2": OTHER, "D2": 4 * [0.0], "fisheye_model": 1}
-        | {"imageSize": SIZE},
-        FISHEYE,
-    ),
-    "EasyMocap": (
-        "intri.yml:02",
-        Storage(names=["1", "02"], K_1=OTHER, dist_1=LENS, K_02=ROWS, dist_02=[LENS[:5]])
-        | {"H_02": 480, "W_02": 640},
-        LENS[:5],
-    ),
-    "anipose": ("a.toml:A", {"cam_0": table(0, name="A"), "cam_1": table(1)}, LENS[:5]),
-    "caliscope": ("a.toml:cam_0", {"cameras.0": table(0), "cameras.1": table(1)}, LENS[:5]),
-    "Pose2Sim": ("a.toml:a", {"a": table(0, LENS), "metadata": {"adjusted": False}}, LENS),
-    "Pose2Sim, fisheye": ("a.toml", {"a": table(0, FISHEYE, fisheye=True)}, FISHEYE),
-    "rig_config, without a size": (
-        "rig_config.json:left",
-        [{"cameras": [{"image_prefix": "rig/left/", **RIG}, {"image_prefix": "rig/right/"}]}],
-        LENS[:4],
-    ),
-    "JSON, rows": ("K.json", {"K": ROWS, "size": SIZE}, []),
-    "JSON, nine": ("K.json", {"K": K.ravel().tolist(), "width": 640, "height": 480}, []),
-    "JSON, four": ("K.json", {"K": FOUR, "size": SIZE}, []),
-    "JSON, names": ("K.json", {**FLAT, "width": 640, "height": 480}, []),
-    "JSON, 4 x 4": ("K.json", {"size": SIZE, "K": [*K[0], 0, *K[1], 0, *K[2], 0, 0, 0, 0, 1]}, []),
-    "JSON of estimate": ("K.json", camera_data(Camera(K, SIZE)), []),
-    "JSON of a pair": ("K.json:K2", {"K1": OTHER, "K2": {"K": ROWS, "size": SIZE}}, []),
-    "Open3D": ("K.json", {"width": 640, "height": 480, "intrinsic_matrix": BY_COLUMNS}, []),
-    "Record3D": ("K.json", {"w": 640, "h": 480, "K": BY_COLUMNS, "fps": 60, "poses": [[0]]}, []),
-    "table": ("K.csv", "name,fx,fy,cx,cy,width,height\na.png,500,510,321.25,238.5,640,480\n", []),
-    "KITTI's odometry, without a size": ("P.txt", "P0: 500 0 321.25 0 0 510 238.5 0 0 0 1 0", []),
-    "KITTI's raw drives": ("calib_cam_to_cam.txt:image_0", KITTI_RAW, []),
-    "NeRF": ("t.json", {**NERF, "frames": [{**POSED, "file_path": "./images/a.png"}]}, []),
-    "NeRF, frame": ("t.json", {"frames": [{"file_path": "images/a", **NERF}]}, []),
+# By the example of a row of `recognise.FORMATS`: where the camera is, what the file holds, and
+# OpenCV's coefficients of the lens. Some state no size. The x of the principal point is 321.25, and
+# half a pixel more where the centre of the top-left pixel is (0.5, 0.5).
+Form = tuple[str, Any, list[float]]
+FORMS_BY_FORMAT: dict[str, dict[str, Form]] = {
+    "sparse/0": {
+        "COLMAP": ("cameras.txt", f"1 OPENCV 640 480 {_words(COLMAP)}\n", LENS[:4]),
+        "COLMAP, a line": ("camera.txt", f"OPENCV 640 480 {_words(COLMAP)}\n", LENS[:4]),
+    },
+    "rig_config.json:cam_1": {
+        "rig_config, without a size": (
+            "rig_config.json:left",
+            [{"cameras": [{"image_prefix": "rig/left/", **RIG}, {"image_prefix": "rig/right/"}]}],
+            LENS[:4],
+        ),
+    },
+    "transforms.json": {
+        "NeRF": ("t.json", {**NERF, "frames": [{**POSED, "file_path": "./images/a.png"}]}, []),
+        "NeRF, frame": ("t.json", {"frames": [{"file_path": "images/a", **NERF}]}, []),
+    },
+    "rig.json:cam_1": {
+        "rig.json": (
+            "rig.json:A",
+            Files(
+                {
+                    "rig.json": {"calibration": CALIBRATION},
+                    CALIBRATION: {"cam_0": table(0, name="A")},
+                }
+            ),
+            LENS[:5],
+        ),
+    },
+    "camchain.yaml:cam1": {
+        "Kalibr": ("chain.yaml:cam0", kalibr("radtan", LENS[:4]), LENS[:4]),
+        "Kalibr, fisheye": ("chain.yaml:cam0", kalibr("equidistant", FISHEYE), FISHEYE),
+        "Kalibr, none": ("chain.yaml:cam0", kalibr("none", []), []),
+        "EuRoC": ("sensor.yaml", EUROC, LENS[:4]),
+    },
+    "camera_array.toml:cam_1": {
+        "anipose": ("a.toml:A", {"cam_0": table(0, name="A"), "cam_1": table(1)}, LENS[:5]),
+        "caliscope": ("a.toml:cam_0", {"cameras.0": table(0), "cameras.1": table(1)}, LENS[:5]),
+        "Pose2Sim": ("a.toml:a", {"a": table(0, LENS), "metadata": {"adjusted": False}}, LENS),
+        "Pose2Sim, fisheye": ("a.toml", {"a": table(0, FISHEYE, fisheye=True)}, FISHEYE),
+    },
+    "intri.yml:01": {
+        "EasyMocap": (
+            "intri.yml:02",
+            Storage(names=["1", "02"], K_1=OTHER, dist_1=LENS, K_02=ROWS, dist_02=[LENS[:5]])
+            | {"H_02": 480, "W_02": 640},
+            LENS[:5],
+        ),
+    },
+    "stereo.yml:M2": {
+        "stereo, M1, without a size": (
+            "a.yml:M1",
+            Storage(RECTIFIED, M1=ROWS, D1=[LENS[:4]], M2=OTHER, D2=[LENS[:5]]),
+            LENS[:4],
+        ),
+        "stereo, K2, without a size": (
+            "a.yml:K2",
+            Storage(RECTIFIED, K1=OTHER, D1=LENS, K2=ROWS, D2=[[0.0]] * 5),
+            [],
+        ),
+        "stereo, cameraMatrix2, without a size": (
+            "a.yml:cameraMatrix2",
+            Storage(
+                cameraMatrix1=OTHER, distCoeffs1=[0.0] * 4, cameraMatrix2=ROWS, distCoeffs2=LENS
+            ),
+            LENS,
+        ),
+        "stereo, plain, fisheye": (
+            "a.yaml:K1",
+            {"K1": ROWS, "D1": FISHEYE, "K2": OTHER, "D2": 4 * [0.0], "fisheye_model": 1}
+            | {"imageSize": SIZE},
+            FISHEYE,
+        ),
+    },
+    "camera.yml": {
+        "OpenCV, YAML": ("a.yml", Storage(OPENCV), []),
+        "OpenCV, XML": ("a.xml", Storage(OPENCV, distortion_coefficients=[LENS[:4]]), LENS[:4]),
+        "OpenCV, JSON": ("a.json", Storage(OPENCV, distortion_coefficients=LENS[:5]), LENS[:5]),
+        "OpenCV, 8": ("a.yml", Storage(OPENCV, distortion_coefficients=[LENS]), LENS),
+        "OpenCV, 12": ("a.xml", Storage(OPENCV, distortion_coefficients=[*LENS, *4 * [0.0]]), LENS),
+        "OpenCV, fisheye": ("a.yml", Storage(OPENCV, fisheye_model=1, D=FISHEYE), FISHEYE),
+        "OpenCV, a fisheye that is told": (
+            "a.yml:fisheye",
+            Storage(image_width=640, image_height=480, cameraMatrix=ROWS, dist_coeffs=FISHEYE),
+            FISHEYE,
+        ),
+        "OpenCV, without a size": (
+            "a.yml",
+            Storage(cameraMatrix=ROWS, dist_coeffs=LENS[:4]),
+            LENS[:4],
+        ),
+    },
+    "ost.yaml": {
+        "ROS": ("ost.yaml", ros("plumb_bob", LENS[:5]), LENS[:5]),
+        "ROS, rational": ("ost.yaml", ros("rational_polynomial", LENS), LENS),
+        "ROS, fisheye": ("ost.yaml", ros("equidistant", FISHEYE), FISHEYE),
+        "ROS, message": ("ost.yaml", MESSAGE, LENS[:5]),
+    },
+    "metadata.json": {
+        "Open3D": ("K.json", {"width": 640, "height": 480, "intrinsic_matrix": BY_COLUMNS}, []),
+        "Record3D": (
+            "K.json",
+            {"w": 640, "h": 480, "K": BY_COLUMNS, "fps": 60, "poses": [[0]]},
+            [],
+        ),
+    },
+    "pose.json": {
+        "JSON, rows": ("K.json", {"K": ROWS, "size": SIZE}, []),
+        "JSON, nine": ("K.json", {"K": K.ravel().tolist(), "width": 640, "height": 480}, []),
+        "JSON, four": ("K.json", {"K": FOUR, "size": SIZE}, []),
+        "JSON, names": ("K.json", {**FLAT, "width": 640, "height": 480}, []),
+        "JSON, 4 x 4": (
+            "K.json",
+            {"size": SIZE, "K": [*K[0], 0, *K[1], 0, *K[2], 0, 0, 0, 0, 1]},
+            [],
+        ),
+        "JSON of estimate": ("K.json", camera_data(Camera(K, SIZE)), []),
+        "JSON of a pair": ("K.json:K2", {"K1": OTHER, "K2": {"K": ROWS, "size": SIZE}}, []),
+    },
+    "calib.txt:image_2": {
+        "KITTI's odometry, without a size": (
+            "P.txt",
+            "P0: 500 0 321.25 0 0 510 238.5 0 0 0 1 0",
+            [],
+        ),
+        "KITTI's raw drives": ("calib_cam_to_cam.txt:image_0", KITTI_RAW, []),
+    },
+    "cameras.csv": {
+        "table": (
+            "K.csv",
+            "name,fx,fy,cx,cy,width,height\na.png,500,510,321.25,238.5,640,480\n",
+            [],
+        ),
+    },
+    "K.txt": {
+        "matrix, without a size": ("K.txt", "500 0 321.25\n0 510 238.5\n0 0 1\n", []),
+    },
 }
+FORMS = {name: form for forms in FORMS_BY_FORMAT.values() for name, form in forms.items()}
 
 
 def write_file(path: Path, content: Any) -> str:
-    """Write a text, a Storage, or else the tables of a TOML or JSON; the ending tells which.
+    """Write a text, a Storage, Files, or else the tables of a TOML or JSON; the ending tells which.
     Returns the path."""
-    if isinstance(content, Storage):
+    if isinstance(content, Files):
+        for name, own in content.items():
+            write_file(path.with_name(name), own)
+    elif isinstance(content, Storage):
         _write_storage(path, content)
     elif isinstance(content, str):
         path.write_text(content)

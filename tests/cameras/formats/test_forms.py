@@ -1,6 +1,7 @@
-"""One camera in every form that is read. COLMAP's own forms are in test_colmap.py."""
+"""One camera in every form that is read. Models of COLMAP are in test_colmap.py."""
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 from cameras.formats.camera_files import (
     FORMS,
+    FORMS_BY_FORMAT,
     FOUR,
     NERF,
     SIZE,
@@ -19,6 +21,8 @@ from cameras.formats.camera_files import (
 
 from dgc_pose.cameras.calibration import parse_camera, read_calibration
 from dgc_pose.cameras.colmap_camera import Distortion
+from dgc_pose.cameras.formats.opened import CameraFile
+from dgc_pose.cameras.formats.recognise import FORMATS, Format
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -36,6 +40,25 @@ def test_a_camera_in_each_form(tmp_path: Path, form: str) -> None:
     assert camera.warnings == ()
     if form.startswith("NeRF"):
         assert (camera.identity is None) == (form == "NeRF, frame")
+
+
+def test_each_format_has_a_form() -> None:
+    assert [*FORMS_BY_FORMAT] == [format.example for format in FORMATS]
+
+
+@pytest.mark.parametrize("format", FORMATS, ids=[format.example for format in FORMATS])
+def test_the_reader_and_the_centre_of_each_format_are_those_of_its_row(
+    tmp_path: Path, format: Format
+) -> None:
+    """No reader above it takes its files. Where `half_pixel` is set, the reader subtracts it."""
+    for place, content, _ in FORMS_BY_FORMAT[format.example].values():
+        name, colon, part = place.partition(":")
+        path = write_file(tmp_path / name, content)
+        taken = next(other.read for other in FORMATS if other.read(CameraFile(Path(path))))
+        assert taken is format.read
+        stated = {float(x) for x in re.findall(r"321\.\d+", str(content))}
+        camera = read_calibration(f"{path}{colon}{part}").stated(Path("images"), "a.png", "K1")
+        assert stated == {camera.K[0, 2] + (0.5 if format.half_pixel else 0.0)}
 
 
 @pytest.mark.parametrize("name", ["K.txt", "K.csv", "k.mat"])
