@@ -23,8 +23,8 @@ class Format(NamedTuple):
     files: str  # in the documentation, with an example
     example: str
     read: Callable[[CameraFile], Calibration | None]  # None for a file of another format
-    # Whether the centre of the top-left pixel is (0.5, 0.5). In `Camera`, and in all other files,
-    # it is (0, 0).
+    # Whether the centre of the top-left pixel is (0.5, 0.5), so that `read` subtracts 0.5. In
+    # `Camera`, and in all other files, it is (0, 0).
     half_pixel: bool = False
 
 
