@@ -27,7 +27,7 @@ def case(before: golden_pairs.Answer) -> object:
 
 
 # A test each: the file of the most tests is begun first, and this one takes longest.
-@pytest.mark.parametrize("before", map(case, sorted(golden_pairs.recorded())))
+@pytest.mark.parametrize("before", [case(answer) for answer in sorted(golden_pairs.recorded())])
 def test_answers_stay(before: golden_pairs.Answer) -> None:
     answer = golden_pairs.answer(*before[:3])
     if not clear(before):
