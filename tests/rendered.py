@@ -16,13 +16,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from dgc_pose.training.draw import Draw
-from dgc_pose.training.room_pairs import (
-    RoomOptions,
-    Rooms,
-    overlap,
-    random_rooms,
-    render_pairs,
-)
+from dgc_pose.training.room_pairs import RoomOptions, Rooms, overlap, random_rooms, render
 from dgc_pose.training.views import Cameras, image_arrays
 
 _OPTIONS = RoomOptions(boxes=12, ellipsoids=4, spans=((1.0, 2.0), (0.5, 1.0)))
@@ -92,16 +86,19 @@ def render_scene_pair(
 
 
 def _rendered(rooms, first, second, shape1, shape2) -> RenderedPair:
-    pair = render_pairs(rooms, first, second, shape2, _photos().bank, shape1)
     pose = second.seen_by(first).pose[0].double().numpy()
     U, _, Vt = np.linalg.svd(pose[:, :3])  # the nearest rotation: these are in single precision
     K = [camera.K[0].double().numpy() for camera in (first, second)]
+    views = [
+        render(rooms, camera, shape, _photos().bank)
+        for camera, shape in ((first, shape1), (second, shape2))
+    ]
     return RenderedPair(
-        *(image_arrays(image)[0] for image in pair.maps[:2]),
+        *(image_arrays(image)[0] for image, _ in views),
         *(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]) for fx, fy, cx, cy in K),
         U @ Vt,
         pose[:, 3],
-        *(depth[0].double().numpy() for depth in (pair.depth1, pair.depth2)),
+        *(depth[0].double().numpy() for _, depth in views),
     )
 
 
