@@ -122,7 +122,7 @@ def output_file(help: str, metavar: str, **kind: bool) -> Any:
     return option(None, help, metavar=metavar, type=OutputFile(**kind))
 
 
-_FORMATS = ", ".join(format.name for format in FORMATS if format.name)
+_FORMATS = ", ".join(row.name for row in FORMATS if row.name)
 _camera = partial(option, None, metavar="K|FILE|auto", section="cameras")
 _detail = partial(option, None, section="advanced")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -32,10 +33,14 @@ _DRIVERS = ("/dev/nvidiactl", "/dev/kfd", "/dev/dxg")  # devices of GPUs, on Lin
 class NamedMatcher(NamedTuple):
     """A row of the table of matchers other than our networks."""
 
-    name: str  # as a user states it; * stands for any characters
+    name: str  # as a user states it; capitals stand for any characters
     about: str  # in the documentation
     make: Callable[[MatcherOptions, ImageCache | None], Matcher]
     uses_device: bool = False  # else it runs on the CPU only
+
+    def fits(self, name: str) -> bool:
+        """Whether a name is of this row."""
+        return fnmatchcase(name, re.sub("[A-Z]+", "*", self.name))
 
 
 # docs/library.md and the help of --weights show the table. The first row that fits a name counts.
@@ -51,14 +56,14 @@ MATCHERS: Sequence[NamedMatcher] = (
         lambda options, cache: LightGlueMatcher(cache),
     ),
     NamedMatcher(
-        f"{PREFIX}*",
+        f"{PREFIX}NAME",
         "a matcher of the package vismatch (`pip install vismatch`; it downloads weights under "
         "their licences)",
         lambda options, cache: VismatchMatcher(options.weights, options.device),
         uses_device=True,
     ),
     NamedMatcher(
-        "*.onnx",
+        "MODEL.onnx",
         "a detector with descriptors of your own",
         lambda options, cache: OnnxMatcher(options.weights, cache),
     ),
@@ -96,7 +101,7 @@ class MatcherOptions:
     @property
     def _named(self) -> NamedMatcher | None:
         """The row of a matcher other than our networks."""
-        return next((row for row in MATCHERS if fnmatchcase(self.weights, row.name)), None)
+        return next((row for row in MATCHERS if row.fits(self.weights)), None)
 
     @property
     def takes_second(self) -> bool:

@@ -37,9 +37,9 @@ def _row(cells: Sequence[str]) -> str:
 
 
 def _formats() -> Iterator[Sequence[str]]:
-    for format in FORMATS:
-        centre = "(0.5, 0.5)" if format.half_pixel else "(0, 0)"
-        yield format.files, f"`{format.example}`", centre
+    for row in FORMATS:
+        centre = "(0.5, 0.5)" if row.half_pixel else "(0, 0)"
+        yield row.files, f"`{row.example}`", centre
 
 
 def _matchers() -> Iterator[Sequence[str]]:

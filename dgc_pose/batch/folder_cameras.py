@@ -35,7 +35,7 @@ from dgc_pose.estimation.least_squares import (
 
 _STARTS = 101
 _STEPS = 50
-_CONVERGED = 1e-12  # relative change of the loss that ends them
+_CONVERGED = 1e-12  # promised gain of a step over 1 + loss, up to which it is the last one
 _MAX_STD_SHARE = 0.9  # of the prior's deviation of ln f: pairs with a wider fit are skipped
 _FAR_CENTRE_STDS = 1.5  # deviations: a principal point that moved further is far from its prior
 _MIN_VARIANCE = 1e-9  # as a share of the prior's: keeps the information finite

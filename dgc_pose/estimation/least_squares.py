@@ -25,7 +25,7 @@ _SHIFTS = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5))  # of the blocks, in 
 # may have nearly all of it (docs/experiments.md); and otherwise, to keep the rest regular.
 KEPT = 0.1
 REGULAR = 1e-9
-_CONVERGED = 1e-5
+_CONVERGED = 1e-5  # promised gain of a step over 1 + cost, up to which it is the last one
 _DAMPING = 1e-4  # of the first step
 _LEAST_DAMPING = 1e-9
 _MOST_DAMPING = 1e6
@@ -94,7 +94,11 @@ class Slopes(NamedTuple):
         return Slopes(self.cost + float(values @ weighted) / 2, self.hessian + prior, gradient)
 
     def step(self, damping: float) -> np.ndarray:
-        """The step (P,) to the least cost, shortened by a damping. Raises LinAlgError."""
+        """The step (P,) to the least cost, shortened by a damping, which is relative to the
+        Hessian's diagonal. With 0, the shortest such step. Raises LinAlgError."""
+        if damping == 0:
+            shortest: np.ndarray = np.linalg.lstsq(self.hessian, -self.gradient, rcond=None)[0]
+            return shortest
         damped = self.hessian + damping * np.diag(np.diag(self.hessian))
         step: np.ndarray = np.linalg.solve(damped, -self.gradient)
         return step
@@ -117,7 +121,7 @@ def cauchy_slopes(
     length = np.sqrt(np.square(error).sum(1)) if error.ndim > 1 else error
     cost = float((counts * cauchy_losses(length, width)).sum())
     number = slopes.shape[-1]
-    if not math.isfinite(cost):  # a step that is refused
+    if not math.isfinite(cost):  # of a step that is refused
         return Slopes(cost, np.eye(number), np.zeros(number))
     weights = counts * cauchy_weights(length, width)
     weighted = (slopes.T * weights).T.reshape(-1, number).T
@@ -145,22 +149,21 @@ def minimised(
     """The fit of least cost near a start (Marquardt 1963).
 
     iterations: the most steps. descends: whether a step must lower the cost; not where each fit
-    has errors of its own, so that the costs of two do not compare. converged: the gain, relative to
-    the cost, of which a step must promise more for another to follow.
+    has errors of its own, so that the costs of two do not compare: its steps are not damped.
+    converged: the gain that a step promises, over 1 + the cost, up to which it is the last one.
     """
     fit = start
     slopes = problem.linearised(fit)
-    damping = _DAMPING if descends else _LEAST_DAMPING
+    damping = _DAMPING if descends else 0.0
     for _ in range(iterations):
         try:
             step = slopes.step(damping)
+            is_last = -slopes.gradient @ step / 2 <= converged * (1 + slopes.cost)
             candidate = problem.moved(fit, step)
-            if -slopes.gradient @ step / 2 <= converged * (1 + slopes.cost):
-                return candidate
             found = problem.linearised(candidate)
             while descends and not found.cost < slopes.cost:
                 damping *= 10
-                if damping >= _MOST_DAMPING:
+                if is_last or damping >= _MOST_DAMPING:
                     return fit
                 candidate = problem.moved(fit, slopes.step(damping))
                 found = problem.linearised(candidate)
@@ -168,7 +171,10 @@ def minimised(
             break
         fit = candidate
         slopes = found
-        damping = max(damping / 10, _LEAST_DAMPING)
+        if is_last:
+            break
+        if descends:
+            damping = max(damping / 10, _LEAST_DAMPING)
     return fit
 
 

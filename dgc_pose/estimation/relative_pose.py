@@ -218,16 +218,16 @@ def uncertainty(found: Candidates) -> Uncertainty:
         cameras = first, second
     if covariances is None:
         return Uncertainty(cameras)
-    covariance = covariances[0] + found.model.pose_covariance
-    raw = covariances[1]
-    focal_std = float(np.sqrt(raw.diagonal()[FOCALS].max()))
+    by_pose, by_cameras = covariances
+    covariance = by_pose + found.model.pose_covariance
+    focal_std = float(np.sqrt(by_cameras.diagonal()[FOCALS].max()))
     camera_covariance = None
     if found.fitted:
-        first, unit1 = _calibrated(cameras[0], raw[:SIZE, :SIZE])
-        second, unit2 = _calibrated(cameras[1], raw[SIZE:, SIZE:])
+        first, unit1 = _calibrated(cameras[0], by_cameras[:SIZE, :SIZE])
+        second, unit2 = _calibrated(cameras[1], by_cameras[SIZE:, SIZE:])
         cameras = first, second
         units = np.concatenate([unit1, unit2])
-        camera_covariance = raw * np.outer(units, units)
+        camera_covariance = by_cameras * np.outer(units, units)
     focal_90_percent = 100 * NORMAL_90 * focal_std or None
     return Uncertainty(cameras, covariance, camera_covariance, focal_90_percent)
 

@@ -126,10 +126,10 @@ def with_length(
     warnings = pose.warnings
     try:
         if markers:
-            source = _by_markers(rays, cameras, markers, scale.marker or 0.0, pose.R, pose.t)
+            source = _marker_source(rays, cameras, markers, scale.marker or 0.0, pose.R, pose.t)
         else:
             z = np.array([_depths_at(*pair) for pair in zip(maps, points, strict=True)])
-            source = _by_depths(rays, z, scale.depth_std, (pose.R, pose.t), deviating)
+            source = _depth_source(rays, z, scale.depth_std, (pose.R, pose.t), deviating)
         warnings += source.warnings
         length, own, scatter = source.measure(pose.R, pose.t)
         moved = [source.measure(R, t)[0] - length for R, t in deviating]
@@ -154,7 +154,7 @@ class _Source(NamedTuple):
     is_sure: bool = True  # whether the deviation is known
 
 
-def _by_depths(
+def _depth_source(
     rays: Rays,
     z: np.ndarray,
     depth_std: float,
@@ -172,7 +172,7 @@ def _by_depths(
     return _Source(partial(length_by_depths, rays, along_axis, depth_std, 1 - likely), (warning,))
 
 
-def _by_markers(
+def _marker_source(
     rays: Rays,
     cameras: Sequence[Camera],
     markers: Sequence[Mapping[str, np.ndarray]],

@@ -43,6 +43,7 @@ _FITTED = 400  # inliers of a pair in a fit; the errors of neighbours are correl
 _MIN_INLIERS = 8  # of a pair
 _MAX_STARTS = 3  # number of starts that are fitted
 _STEPS = 12
+_CONVERGED = 1e-7  # for the distance along a line of sight, which errors hardly show
 _MIN_KEPT = 0.95  # least score of a fit, over that of its start
 
 
@@ -167,7 +168,7 @@ def fitted(
     chosen anew before each step. Return the start if the fit has a much worse score. skewed:
     whether to fit a skew, too."""
     problem = _LocationFit(every, prior, skewed)
-    found = minimised(problem, pose, _STEPS, descends=False)
+    found = minimised(problem, pose, _STEPS, descends=False, converged=_CONVERGED)
     return found if score(every, found) >= _MIN_KEPT * score(every, pose) else pose
 
 

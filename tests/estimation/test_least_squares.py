@@ -5,7 +5,6 @@ import pytest
 
 from dgc_pose.estimation.least_squares import Slopes, cauchy_losses, cauchy_slopes, minimised
 
-RNG = np.random.default_rng(0)
 WIDTH = 0.7
 
 
@@ -46,15 +45,30 @@ def test_a_parameter_that_nothing_depends_on_leaves_the_start() -> None:
 
     start = np.array([3.0, 4.0])
     assert minimised(Flat(), start, 10) is start
+    # Steps that are not damped are the shortest ones, along the other parameters alone.
+    np.testing.assert_allclose(minimised(Flat(), start, 1, descends=False), [2, 4])
+
+
+def test_a_last_step_that_raises_the_cost_is_not_taken() -> None:
+    """As one beyond what a lens can have seen, however small the gain that it promises."""
+
+    class Cliff(_Valley):
+        def linearised(self, fit: np.ndarray) -> Slopes:
+            cost = np.inf if fit[0] > 1 else 1.0
+            return Slopes(cost, np.eye(2), np.array([-1e-3, 0]))
+
+    start = np.array([1.0, 0.0])
+    assert minimised(Cliff(), start, 10) is start
 
 
 @pytest.mark.parametrize("axes", [(), (3,)])
 def test_the_slopes_of_losses_and_prior_are_those_of_their_sum(axes: tuple[int, ...]) -> None:
     """Of single errors, and of errors whose length counts."""
-    errors = RNG.standard_normal((40, *axes))
-    slopes = RNG.standard_normal((40, *axes, 5))
-    counts = RNG.random(40)
-    values = RNG.standard_normal(2)
+    rng = np.random.default_rng(0)
+    errors = rng.standard_normal((40, *axes))
+    slopes = rng.standard_normal((40, *axes, 5))
+    counts = rng.random(40)
+    values = rng.standard_normal(2)
     information = np.array([1.0, 4.0])
 
     def cost(step: np.ndarray) -> float:
@@ -69,7 +83,7 @@ def test_the_slopes_of_losses_and_prior_are_those_of_their_sum(axes: tuple[int, 
     np.testing.assert_allclose(found.gradient, numeric, rtol=1e-5, atol=1e-7)
     # Without outliers the Hessian is that of squares.
     exact = cauchy_slopes(0 * errors, slopes, WIDTH).with_prior(values, information)
-    step = 1e-4 * RNG.standard_normal(5)
+    step = 1e-4 * rng.standard_normal(5)
     errors = 0 * errors
     counts = np.ones(40)
     curvature = cost(step) + cost(-step) - 2 * cost(np.zeros(5))

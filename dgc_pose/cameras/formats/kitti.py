@@ -20,6 +20,8 @@ _OTHERS = re.compile(r"^(?!(?:P\d+|[SKD]_\d+|corner_dist):)(\w+):(.*)", re.MULTI
 def read(file: CameraFile) -> Calibration | None:
     """The cameras "image_0", "image_1", ...; None for a file without a projection."""
     text = file.text
+    if not _PROJECTION.search(text):
+        return None
     others = dict.fromkeys(unread(dict(_OTHERS.findall(text))), "unread")
     sizes = {key: (width, height) for key, width, height in _SIZE.findall(text)}
     tables = {}

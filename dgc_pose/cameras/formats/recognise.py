@@ -43,7 +43,7 @@ def read_file(path: Path) -> Calibration:
 
 
 def _read(file: CameraFile) -> Calibration:
-    for read in dict.fromkeys(format.read for format in FORMATS):
+    for read in dict.fromkeys(row.read for row in FORMATS):
         calibration = read(file)
         if calibration is not None:
             return calibration

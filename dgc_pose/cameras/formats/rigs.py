@@ -151,9 +151,8 @@ def _tables(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     tables = {}
     for key, table in listed.items():
         if isinstance(table, Mapping) and not {"matrix", "size"}.isdisjoint(table):
-            name = {} if listed is data else {"name": f"cam_{key}"}
-            tables[str(key)] = {**name, **table}
-
+            numbered = {} if listed is data else {"name": f"cam_{key}"}
+            tables[str(key)] = {**numbered, **table}
     lenses = [{"distortions"}, {"matrix", "coefficients"}]
     if not any(lens <= table.keys() for table in tables.values() for lens in lenses):
         return {}

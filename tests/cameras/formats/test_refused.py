@@ -46,6 +46,11 @@ def rig_config(**changes: Any) -> list[Any]:
     [
         ("K.txt", "1 2 3\n4 5 6\n", "K has 6 numbers, not fx fy cx cy and no 3x3 matrix"),
         ("K.txt", "one two three", r"other file of cameras \(it begins with 'one two three'\)"),
+        (
+            "ros.txt",
+            "distortion_model: plumb_bob\n",
+            "it begins with 'distortion_model: plumb_bob'",
+        ),
         ("K.txt", bytes(range(256)), "is not UTF-8 text; expected a file of cameras"),
         ("K.NPY", "1 0 0\n0 1 0\n0 0 1\n", "cannot be read as an .npy"),
         ("cameras.txt", "# none\n1 PINHOLE 9\n", "has a line that is not a camera: "),
