@@ -70,45 +70,56 @@ def folder_cameras(poses: PoseRunner, cameras: Cameras) -> list[PooledCamera]:
     start = _by_models(cameras, rows)
     known = {**start, **by_image(pool(start, rows, inside=start))}
     if start != cameras or centre_moved(start, known):
-        start = {name: replace(c, K=known[name].K) for name, c in start.items()}
+        start = {name: replace(camera, K=known[name].K) for name, camera in start.items()}
         rows = _rows_of(poses.estimate(start, fit=True))
         known = {**start, **by_image(pool(start, rows, inside=start))}
     groups = sharing(start)
-    certain = {
-        name
-        for name, camera in known.items()
-        if len(groups.get(name, (name, ""))) > 1 and camera.focal_std < _PARTNER_FOCAL_STD
-    }
-    apart = {
-        name
-        for name in certain & groups.keys()
-        if start[name].focal_source != "given" and start[name].identity != SHARED
-        if _is_contradicted(name, groups[name], known[name], rows)
-    }
-    certain -= apart
+    certain = set[str]()
+    apart = set[str]()
+    for name, camera in known.items():
+        is_alone = name in groups and len(groups[name]) == 1
+        if is_alone or camera.focal_std >= _PARTNER_FOCAL_STD:
+            continue
+        may_differ = start[name].focal_source != "given" and start[name].identity != SHARED
+        if may_differ and name in groups and _is_contradicted(name, groups[name], camera, rows):
+            apart.add(name)
+        else:
+            certain.add(name)
+
     loose = apart | {name for name, names in groups.items() if len(names) == 1}
-    some = {row.index for row in rows if loose & {*row.names} and certain & {*row.names}}
-    own = {
-        name: _individual_camera(start[name], doubted=name in apart)
-        for row in rows
-        if row.index in some
-        for name in row.names
-        if name in loose
-    }
+    own: Cameras = {}
+    some = set[int]()
+    for row in rows:
+        if loose & {*row.names} and certain & {*row.names}:
+            some.add(row.index)
+            for name in row.names:
+                if name in loose:
+                    own[name] = _individual_camera(start[name], doubted=name in apart)
     refitted = _rows_of(poses.estimate({**known, **own}, fit=True, only=some))
     exact = {name: camera.as_exact() for name, camera in known.items()}
     found = pool({**exact, **own}, refitted)
-    unshared = {
-        name
-        for name, fit in by_image(found).items()
-        if (not _agrees(fit, known[name]) if name in apart else fit.focal_std < _MOST_FOCAL_STD)
-    }
+    unshared = set[str]()
+    for name, fit in by_image(found).items():
+        differs = (
+            not _agrees(fit, known[name]) if name in apart else fit.focal_std < _MOST_FOCAL_STD
+        )
+        if differs:
+            unshared.add(name)
+
     members = {name: camera for name, camera in start.items() if name not in unshared}
     kept = [row for row in rows if not unshared & {*row.names}]
-    found = [replace(one, why=_ALONE) for one in found if unshared & one.cameras.keys()]
-    split = {n for n, c in members.items() if cameras[n].identity and c.identity is None}
-    shared = pool(members, kept, inside=certain)
-    return [replace(o, why=_SPLIT) if split & o.cameras.keys() else o for o in shared] + found
+    split = set[str]()
+    for name, camera in members.items():
+        if cameras[name].identity and camera.identity is None:
+            split.add(name)
+    pooled = []
+    for shared in pool(members, kept, inside=certain):
+        is_split = bool(split & shared.cameras.keys())
+        pooled.append(replace(shared, why=_SPLIT) if is_split else shared)
+    for alone in found:
+        if unshared & alone.cameras.keys():
+            pooled.append(replace(alone, why=_ALONE))
+    return pooled
 
 
 def _rows_of(pairs: Iterable[MatchedPair]) -> list[PairRow]:
