@@ -74,8 +74,8 @@ class Record:
 
     @property
     def exact(self) -> bool:
-        """Whether the true pose is exact: see `PlanEntry.rough`."""
-        return self.scene not in self.entry.rough
+        """Whether the true pose is exact, see `PlanEntry.rough`, and K too."""
+        return self.scene not in self.entry.rough and self.entry.kind != "wrong_k"
 
     @property
     def any_right(self) -> bool:
