@@ -19,9 +19,6 @@ from dgc_pose.images.image import Image, flipped, resize
 
 Alteration = Literal["swapped", "enlarged", "bordered", "turned", "darkened"]
 ALTERATIONS: tuple[Alteration, ...] = get_args(Alteration)
-_LONGER = (1.4, 3.0)  # factors of f
-_ZOOM = (1.1, 1.6)  # factors of f
-_ZOOM_EACH = 4  # every 4th pair has a zoom
 _SCALE = 1.5
 _BORDER = 0.1  # over the longer side
 _GAMMA = 1.8
@@ -176,34 +173,9 @@ def _pasted(listed: ListedPairs, number: int, rng: np.random.Generator) -> Posed
     return replace(pair, image2=image2, R=None, t=None)
 
 
-def _zoomed(listed: ListedPairs, number: int, rng: np.random.Generator) -> PosedPair:
-    """A pair with longer lenses, or a zoom between its images: their middles, enlarged."""
-    pair = listed.pair(number)
-    factors = np.full(2, np.exp(rng.uniform(*np.log(_LONGER))))
-    if number % _ZOOM_EACH == 0:
-        factors = np.array([1.0, rng.uniform(*_ZOOM)])
-    images = []
-    cameras = []
-    for image, camera, factor in zip(
-        (pair.image1, pair.image2), (pair.camera1, pair.camera2), factors, strict=True
-    ):
-        width, height = image.size
-        part = round(width / factor), round(height / factor)
-        left = (width - part[0]) // 2
-        top = (height - part[1]) // 2
-        pixels = image.pixels[top : top + part[1], left : left + part[0]]
-        K = camera.K - np.array([[0, 0, left], [0, 0, top], [0, 0, 0]])
-        images.append(replace(image, pixels=resize(np.ascontiguousarray(pixels), image.size)))
-        cameras.append(replace(camera, K=K, size=part).resized(image.size))
-    image1, image2 = images
-    camera1, camera2 = cameras
-    return PosedPair(image1, image2, camera1, camera2, pair.R, pair.t)
-
-
 LIST_KINDS: Mapping[str, Callable[[ListedPairs, int, np.random.Generator], PosedPair]] = {
     "list": lambda listed, number, rng: listed.pair(number),
     "pasted": _pasted,
-    "zoomed": _zoomed,
     "wrong_k": _wrong_k,
     "turned": _turned,
     "mirrored": _mirrored,

@@ -9,8 +9,6 @@ never both fitted and reported. Kinds:
   relative to the folder `path`.
 - `pasted`: a `list` whose image 2 keeps a part and gets other surroundings. The pair shows two
   places that look alike in this part, and has no pose.
-- `zoomed`: a `list` whose images are both zoomed in, as by a longer lens; in every fourth pair only
-  image 2 is, as by a zoom that no file states.
 - `wrong_k`: a `list` whose K states a wrong focal length; the pose may still be right.
 - `mirrored`: a `list` whose image 2 is mirrored left to right, so it has no pose.
 - `turned`: two views of image 1 of a `list` by a camera that only turns; of every second pair K
@@ -47,7 +45,6 @@ Part = Literal["fit", "report"]
 EntryKind = Literal[
     "list",
     "pasted",
-    "zoomed",
     "wrong_k",
     "turned",
     "mirrored",

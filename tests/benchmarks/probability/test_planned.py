@@ -150,34 +150,6 @@ def test_a_pasted_pair_keeps_a_part_of_image_2_and_has_no_pose(tmp_path):
         np.testing.assert_array_equal(made.image2.pixels, again.image2.pixels)
 
 
-@pytest.mark.parametrize("number", [0, 1])
-def test_a_zoomed_pair_has_the_cameras_of_its_images(tmp_path, number):
-    """Both are of a longer lens; of every fourth pair image 2 alone is zoomed."""
-    size = (120, 90)
-    spots = np.array([[66.0, 50.0], [54.0, 41.0]])
-    for name, spot in zip("ab", spots, strict=True):
-        cv2.imwrite(str(tmp_path / f"{name}.png"), _spot(spot, size).pixels)
-    _write_list(tmp_path / "z.txt.gz", 4 * ["ab"])
-    pair = planned(PlanEntry("z", "fit", "zoomed", seed=5), tmp_path, tmp_path)[number]
-    made, again = pair.make(), pair.make()
-    np.testing.assert_array_equal(made.image2.pixels, again.image2.pixels)
-    np.testing.assert_allclose(made.t, (0.1, 0, 0))
-    factors = []
-    for image, camera, spot in zip(
-        (made.image1, made.image2), (made.camera1, made.camera2), spots, strict=True
-    ):
-        assert image.size == camera.size == size
-        factors.append(camera.K[0, 0] / 100)
-        y, x = np.nonzero(image.pixels[..., 0] > 128)
-        ray = (spot - (60, 45)) / 100
-        seen = camera.normalise(np.array([[x.mean(), y.mean()]]))[0]
-        np.testing.assert_allclose(seen, ray, atol=0.6 / camera.K[0, 0])
-    if number == 0:
-        assert factors[0] == 1 and 1.09 < factors[1] < 1.62
-    else:
-        assert 1.38 < factors[0] < 3.05 and factors[0] == pytest.approx(factors[1], rel=0.03)
-
-
 def _white(image: Image) -> np.ndarray:
     """The middle (2,) of the white pixels."""
     y, x = np.nonzero(image.pixels.min(axis=-1) > 200)
