@@ -55,20 +55,21 @@ def _turned(listed: ListedPairs, number: int, rng: np.random.Generator) -> Posed
     direction = rng.uniform(0, 2 * np.pi)
     reach = (1 - _SHOWN) / 2 * rng.uniform(0.3, 0.9) * np.array(size)
     aside = reach * (np.cos(direction), np.sin(direction)) / K[[0, 1], [0, 1]]
-    images = []
-    rotations = []
-    for x, y in (aside, -aside):
+
+    def view(x: float, y: float) -> tuple[Image, np.ndarray]:
         R = cv2.Rodrigues(np.array([y, -x, _ROLL * rng.standard_normal()]))[0]
         H = view_K @ R @ np.linalg.inv(K)
         pixels = cv2.warpPerspective(
             pair.image1.pixels, H, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT_101
         )
-        images.append(_photographed(pixels, rng))
-        rotations.append(R)
+        return _photographed(pixels, rng), R
+
+    image1, R1 = view(*aside)
+    image2, R2 = view(*-aside)
     camera = Camera(view_K, size)
     if number % 2:
         camera = camera.with_focal(_wrong_factor(rng, _WRONG_TURN) * camera.focal)
-    return PosedPair(*images, camera, camera, rotations[1] @ rotations[0].T, None)
+    return PosedPair(image1, image2, camera, camera, R2 @ R1.T, None)
 
 
 def _mirrored(listed: ListedPairs, number: int, rng: np.random.Generator) -> PosedPair:
@@ -83,29 +84,31 @@ def _board(listed: ListedPairs, number: int, rng: np.random.Generator) -> PosedP
     """Image 2 of another pair as a flat board that fills most of both views: before a blank wall,
     for a camera that moved, or itself moved before a still camera, which sees image 1 behind it."""
     pair = listed.pair(number)
-    camera = replace(pair.camera1, size=pair.image1.size)
+    is_still = number % 2 == 1
+    size = pair.image1.size
+    camera = replace(pair.camera1, size=size)
     picture = listed.pair(int(rng.integers(len(listed.pairs)))).image2.pixels
-    behind = pair.image1.pixels if number % 2 else np.full_like(pair.image1.pixels, _WALL)
+    behind = pair.image1.pixels if is_still else np.full_like(pair.image1.pixels, _WALL)
     height, width = picture.shape[:2]
     # The board is 1 wide, and the pixels of the picture are points of z = 0.
     to_board = np.array([[1, 0, (1 - width) / 2], [0, 1, (1 - height) / 2], [0, 0, width]]) / width
-    images = []
-    poses = []
-    for _ in range(2):
+
+    def view() -> tuple[Image, np.ndarray, np.ndarray]:
         R = cv2.Rodrigues(rng.uniform(-_TILT, _TILT, 3) * (1, 1, 0.3))[0]
-        away = rng.uniform(*_AWAY) * camera.K[0, 0] / pair.image1.size[0]
+        away = rng.uniform(*_AWAY) * camera.K[0, 0] / size[0]
         t = away * np.append(rng.uniform(-0.1, 0.1, 2), 1.0)
         H = camera.K @ np.column_stack([R[:, :2], t]) @ to_board
-        seen = cv2.warpPerspective(picture, H, camera.size)
-        on_board = cv2.warpPerspective(np.ones((height, width), np.float32), H, camera.size)
+        seen = cv2.warpPerspective(picture, H, size)
+        on_board = cv2.warpPerspective(np.ones((height, width), np.float32), H, size)
         pixels = behind + on_board[..., None] * (seen.astype(np.float32) - behind)
-        images.append(_photographed(pixels, rng))
-        poses.append((R, t))
-    (R1, t1), (R2, t2) = poses
+        return _photographed(pixels, rng), R, t
+
+    image1, R1, t1 = view()
+    image2, R2, t2 = view()
+    if is_still:
+        return PosedPair(image1, image2, camera, camera, np.eye(3), None)
     R = R2 @ R1.T
-    if number % 2:
-        return PosedPair(*images, camera, camera, np.eye(3), None)
-    return PosedPair(*images, camera, camera, R, t2 - R @ t1)
+    return PosedPair(image1, image2, camera, camera, R, t2 - R @ t1)
 
 
 def _wrong_factor(rng: np.random.Generator, factors: tuple[float, float]) -> float:
