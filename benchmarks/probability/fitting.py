@@ -134,8 +134,9 @@ def fit_focal_error(rows: Sequence[Record]) -> dict[str, float]:
     length and whose pose is not far off. With too few records, raw errors stay as they are."""
     samples = []
     for row, evidence in _fitted(rows):
-        error_deg = max(row.best.rotation_error_deg, folded(row.best.translation_error_deg))
-        is_measured = row.exact and row.exact_cameras and error_deg < _MOST_FOCAL_FIT_DEG
+        errors_deg = row.best.rotation_error_deg, folded(row.best.translation_error_deg)
+        is_near = all(error_deg < _MOST_FOCAL_FIT_DEG for error_deg in errors_deg)
+        is_measured = row.exact and row.exact_cameras and is_near
         if is_measured and evidence.raw_focal_90_percent is not None:
             samples.append((row, evidence))
     if len(samples) < _MIN_POSES:

@@ -32,11 +32,11 @@ def generality_text(rows: Mapping[str, Sequence[Record]], kind: MatchKind) -> st
     joined = dict[tuple[str, str], list[Judged]]()
     for left_out in (_NONE, *fitted_on):
         fitted = [row for name in fitted_on if name != left_out for row in rows[name]]
-        fields = {"report": [fit_model(fitted, kind)], "scenes": _by_fold(fitted, kind)}
+        models_by_part = {"report": [fit_model(fitted, kind)], "scenes": _by_fold(fitted, kind)}
         own = fitted_on if left_out == _NONE else [left_out]
         for name in (*own, *others):
-            for part, models in fields.items():
-                fitted_models = [one_place(fields, kind) for fields in models]
+            for part, models in models_by_part.items():
+                fitted_models = [one_place(values, kind) for values in models]
                 poses = _judged(rows[name], part, fitted_models)
                 table.append((name, left_out, part, *_cells(poses)))
                 if name in own:

@@ -74,8 +74,8 @@ class Record:
 
     @property
     def exact(self) -> bool:
-        """Whether the true pose is exact: see `PlanEntry.rough`."""
-        return self.scene not in self.entry.rough
+        """Whether the true pose is exact, see `PlanEntry.rough`, and K too."""
+        return self.scene not in self.entry.rough and self.entry.kind != "wrong_k"
 
     @property
     def any_right(self) -> bool:
@@ -193,7 +193,6 @@ def _withheld(
     camera1, camera2 = true
     assert camera1.size is not None and camera2.size is not None
     alike = abs(math.log(camera1.focal / camera2.focal)) < _SAME_FOCAL
-    alike = alike or pair.entry.kind == "zoomed"  # their sizes suggest one camera
     # A hash of the name chooses the half: it does not depend on the other pairs
     name = f"{pair.entry.name} {pair.number:04d}"
     identity = "both" if alike and zlib.crc32(f"2 {name}".encode()) % 2 == 0 else None

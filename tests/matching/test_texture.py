@@ -8,7 +8,6 @@ import dense_scene
 import numpy as np
 import pytest
 
-from dgc_pose.benchmarks.probability.planned import BLANKS, BlankKind, blank
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.geometry.pixels import pixel_grid
@@ -27,11 +26,31 @@ from dgc_pose.matching.view import View
 from dgc_pose.runtime.engine import NativeFeatures
 
 SIZE = (320, 240)
+BLANKS = ("gradient", "noise", "stripes", "sky")
 
 
-def _blank(kind: BlankKind) -> Image:
-    """An image without structure."""
-    return Image(blank(kind, SIZE, np.random.default_rng([0, BLANKS.index(kind)])))
+def _blank(kind: str) -> Image:
+    """An image without structure for a pose, after JPEG compression like a camera's."""
+    rng = np.random.default_rng([0, BLANKS.index(kind)])
+    width, height = SIZE
+    y, x = np.mgrid[:height, :width] / width
+    angle = rng.uniform(0, np.pi)
+    along = np.cos(angle) * x + np.sin(angle) * y
+    if kind == "gradient":
+        grey = rng.uniform(0, 128) + rng.uniform(10, 127) * (1 + along) / 2
+    elif kind == "noise":
+        grey = 128 + rng.uniform(5, 60) * rng.standard_normal((height, width))
+    elif kind == "stripes":
+        wave = np.sin(2 * np.pi * rng.uniform(8, 60) * along)
+        grey = 128 + rng.uniform(20, 120) * (wave if rng.random() < 0.5 else np.sign(wave))
+    else:  # a saturated sky over a smooth field
+        horizon = height * rng.uniform(0.3, 0.7) + 0.05 * width * (x - 0.5)
+        grey = np.where(y * width < horizon, 255.0, rng.uniform(20, 120) + 40 * y)
+    tint = rng.uniform(0.8, 1.0, 3)
+    pixels = (grey[..., None] * tint).clip(0, 255).round().astype(np.uint8)
+    quality = int(rng.integers(60, 100))
+    encoded = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+    return Image(np.ascontiguousarray(cv2.imdecode(encoded, cv2.IMREAD_COLOR)))
 
 
 @pytest.mark.parametrize("source", ["map", "sift"])

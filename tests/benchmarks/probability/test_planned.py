@@ -1,5 +1,5 @@
-"""Plans of scenes and their parts, and their pairs: altered ones against a point of their scene, a
-white spot in both images; pasted and zoomed ones."""
+"""Plans of scenes and their parts, and their pairs: altered ones and those of each kind, mostly
+against a point of their scene, a white spot in both images."""
 
 import gzip
 import json
@@ -13,18 +13,14 @@ from scenes import two_view_scene
 from textures import write_photos
 
 from dgc_pose.benchmarks.posed_pairs import PosedPair
-from dgc_pose.benchmarks.probability.planned import (
-    ALTERATIONS,
-    DEFAULT_PLAN,
-    PlanEntry,
-    altered,
-    planned,
-    read_plan,
-)
+from dgc_pose.benchmarks.probability.kinds import ALTERATIONS, LIST_KINDS, altered
+from dgc_pose.benchmarks.probability.planned import DEFAULT_PLAN, PlanEntry, planned, read_plan
+from dgc_pose.benchmarks.probability.records import Record
 from dgc_pose.cameras.pair_list import rendered_pair, write_pairs
 from dgc_pose.errors import InputError
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
 from dgc_pose.images.image import Image
+from dgc_pose.metrics import rotation_error_deg
 
 # Scenes that accuracy is reported on, never fitted on.
 EVALUATION = ("7scenes_a", "mamechun_room", "nan_room", "eunseon_desk")
@@ -80,16 +76,20 @@ def test_what_is_no_plan_is_refused_by_its_path(entries, tmp_path):
 
 
 def test_the_project_s_plan_fits_on_no_scene_that_it_reports_on():
+    lists = DEFAULT_PLAN.parent / "lists"
+    needed = set()
     for source in read_plan(DEFAULT_PLAN):
         lines = []
-        if source.kind in ("list", "unrelated"):
-            path = DEFAULT_PLAN.parent / "lists" / f"{source.name}.txt.gz"
+        if source.kind in (*LIST_KINDS, "unrelated"):
+            path = lists / f"{source.listed or source.name}.txt.gz"
+            needed.add(path)
             lines = gzip.decompress(path.read_bytes()).decode().splitlines()
             assert lines
         if source.part != "report":
             names = [source.path.as_posix(), *(n for line in lines for n in line.split()[:2])]
             assert not any(scene in name for name in names for scene in EVALUATION)
             assert not source.path.match("strecha")
+    assert needed == {*lists.iterdir()}
 
 
 def _write_list(path: Path, pairs: list[str]) -> None:
@@ -150,35 +150,80 @@ def test_a_pasted_pair_keeps_a_part_of_image_2_and_has_no_pose(tmp_path):
         np.testing.assert_array_equal(made.image2.pixels, again.image2.pixels)
 
 
-@pytest.mark.parametrize("number", [0, 1])
-def test_a_zoomed_pair_has_the_cameras_of_its_images(tmp_path, number):
-    """Both are of a longer lens; of every fourth pair image 2 alone is zoomed."""
-    size = (120, 90)
-    spots = np.array([[66.0, 50.0], [54.0, 41.0]])
-    for name, spot in zip("ab", spots, strict=True):
-        cv2.imwrite(str(tmp_path / f"{name}.png"), _spot(spot, size).pixels)
-    _write_list(tmp_path / "z.txt.gz", 4 * ["ab"])
-    pair = planned(PlanEntry("z", "fit", "zoomed", seed=5), tmp_path, tmp_path)[number]
-    made, again = pair.make(), pair.make()
-    np.testing.assert_array_equal(made.image2.pixels, again.image2.pixels)
-    np.testing.assert_allclose(made.t, (0.1, 0, 0))
-    factors = []
-    for image, camera, spot in zip(
-        (made.image1, made.image2), (made.camera1, made.camera2), spots, strict=True
-    ):
-        assert image.size == camera.size == size
-        factors.append(camera.K[0, 0] / 100)
-        y, x = np.nonzero(image.pixels[..., 0] > 128)
-        ray = (spot - (60, 45)) / 100
-        seen = camera.normalise(np.array([[x.mean(), y.mean()]]))[0]
-        np.testing.assert_allclose(seen, ray, atol=0.6 / camera.K[0, 0])
-    if number == 0:
-        assert factors[0] == 1 and 1.09 < factors[1] < 1.62
+def _white(image: Image) -> np.ndarray:
+    """The middle (2,) of the white pixels."""
+    y, x = np.nonzero(image.pixels.min(axis=-1) > 200)
+    return np.array([x.mean(), y.mean()])
+
+
+def _made(tmp_path: Path, kind: str, number: int, image1: Image, image2: Image) -> PosedPair:
+    """A pair of a kind, from a list of the same pair four times."""
+    for name, image in (("a", image1), ("b", image2)):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), image.pixels)
+    _write_list(tmp_path / "s.txt.gz", 4 * ["ab"])
+    entry = PlanEntry(kind, "fit", kind, seed=5, listed="s")
+    first, again = (planned(entry, tmp_path, tmp_path)[number].make() for _ in "12")
+    np.testing.assert_array_equal(first.image2.pixels, again.image2.pixels)
+    return first
+
+
+SIZE = (120, 90)
+MIDDLE = _spot(np.array([60.0, 45.0]), SIZE)
+ASIDE = _spot(np.array([50.0, 40.0]), SIZE)
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_a_camera_that_turned_has_a_rotation_and_half_of_the_time_a_wrong_k(tmp_path, number):
+    made = _made(tmp_path, "turned", number, MIDDLE, ASIDE)
+    assert made.t is None and made.camera1 is made.camera2
+    factor = made.camera1.focal / (100 / 0.6)
+    if number % 2:
+        assert 1.03 < max(factor, 1 / factor) < 1.4
     else:
-        assert 1.38 < factors[0] < 3.05 and factors[0] == pytest.approx(factors[1], rel=0.03)
+        assert factor == pytest.approx(1)
+    true = made.camera1.with_focal(100 / 0.6)
+    rays = [
+        np.append(true.normalise(_white(image)[None])[0], 1) for image in (made.image1, made.image2)
+    ]
+    np.testing.assert_allclose(rays[1], made.R @ rays[0] / (made.R @ rays[0])[2], atol=0.01)
+    assert rotation_error_deg(made.R, np.eye(3)) > 3
 
 
-@pytest.mark.parametrize("kind", ["unrelated", "textureless", "planes"])
+@pytest.mark.parametrize("number", range(4))
+def test_a_wrong_k_leaves_images_and_pose(tmp_path, number):
+    made = _made(tmp_path, "wrong_k", number, MIDDLE, ASIDE)
+    np.testing.assert_allclose(made.t, (0.1, 0, 0))
+    np.testing.assert_array_equal(_white(made.image2), (50, 40))
+    first, second = (camera.focal / 100 for camera in (made.camera1, made.camera2))
+    assert 1.1 < max(second, 1 / second) < 1.6
+    assert first == pytest.approx(second if number % 2 else 1)
+    record = Record(PlanEntry("s", "fit", "wrong_k"), "s", None)
+    assert not record.exact  # no expected error is fitted on it
+
+
+def test_a_mirrored_pair_has_the_camera_of_the_mirror_image_and_no_pose(tmp_path):
+    made = _made(tmp_path, "mirrored", 0, MIDDLE, ASIDE)
+    assert made.t is None
+    np.testing.assert_array_equal(_white(made.image2), (69, 40))
+    np.testing.assert_allclose(made.camera2.K[:2, 2], (59, 45))
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_a_board_has_the_pose_of_a_camera_that_moved_or_none(tmp_path, number):
+    """The board shows image b; around it is a wall, or image a behind a board that moved."""
+    behind = Image(np.full((*SIZE[::-1], 3), 255, np.uint8))
+    made = _made(tmp_path, "board", number, behind, ASIDE)
+    images = made.image1, made.image2
+    if number % 2:
+        assert made.t is None
+        assert min((image.pixels > 200).mean() for image in images) > 0.05
+        return
+    rays = [made.camera1.normalise(_white(image)[None]) for image in images]
+    E = essential_from_pose(made.R, made.t)
+    assert sampson_distance(*rays, E)[0] * made.camera1.focal < 1
+
+
+@pytest.mark.parametrize("kind", ["unrelated", "planes"])
 def test_pairs_are_made_for_a_seed(tmp_path, monkeypatch, kind):
     monkeypatch.setattr("dgc_pose.benchmarks.probability.planned.VIEW_SIZE", 160)
     names = [path.name for path in write_photos(tmp_path / "a", 60)]
