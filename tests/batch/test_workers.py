@@ -149,6 +149,7 @@ def test_what_a_worker_raises_is_raised_here(views, monkeypatch):
         list(run(Worker.describe, [(["view0.png"],), (["view1.png"],)]))
 
 
+@pytest.mark.slow  # starts a cluster
 def test_on_ray_the_result_is_the_same_and_an_actor_that_ends_ends_the_batch(
     views, whole, tmp_path, monkeypatch
 ):
