@@ -81,7 +81,17 @@ def build(source: Path, kind: str) -> Path:
 def release(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """A wheel, built from the sdist of a copy of the repository, and its commit."""
     folder = tmp_path_factory.mktemp("release")
-    unwanted = ("tests", "docs", "lightglue", "build*", "dist", "shared", "*.egg-info", ".*")
+    unwanted = (
+        "tests",
+        "docs",
+        "lightglue",
+        "build*",
+        "dist",
+        "shared",
+        "*.egg-info",
+        ".*",
+        "__pycache__",
+    )
     copy = shutil.copytree(ROOT, folder / "source", ignore=shutil.ignore_patterns(*unwanted))
     shutil.copy(ROOT / ".gitignore", copy)
     git = ("git", "-C", copy, "-c", "user.name=a", "-c", "user.email=a@b.c")

@@ -235,7 +235,7 @@ def colmap_model(
     camera.camera_id = 1
     model = pycolmap.Reconstruction()
     model.add_camera_with_trivial_rig(camera)
-    for number, (name, (R, centre)) in enumerate(zip(names, references, strict=False), start=1):
+    for number, (name, (R, centre)) in enumerate(zip(names, references, strict=True), start=1):
         seen = np.array([camera.img_from_cam(R @ (point - centre)) for point in points])
         image = pycolmap.Image(name, camera_id=1, image_id=number, keypoints=seen.reshape(-1, 2))
         pose = pycolmap.Rigid3d(pycolmap.Rotation3d(R), -R @ centre)

@@ -199,6 +199,7 @@ def test_photographs_that_agree_share_a_camera_without_further_work(tmp_path):
 @pytest.mark.parametrize(
     ("focal", "size", "centre", "error"),
     [
+        (1.5 * FOCAL, SIZE, (0.0, 0.0), 0.05),
         (1.3 * FOCAL, SIZE, (170.0, -110.0), 0.05),
         (FOCAL, (900, 600), (-150.0, -100.0), 0.08),  # the lower right three quarters, as they are
     ],

@@ -126,6 +126,7 @@ def test_a_bad_list_is_an_error_with_its_path_and_the_line(tmp_path, read, conte
     with pytest.raises(InputError, match=reason) as caught:
         read(path)
     assert reason == "no pairs" or str(caught.value).startswith(str(path))
+    assert reason != NO_TEXT or caught.value.path == path
 
 
 @pytest.mark.parametrize("packed", [False, True])

@@ -62,6 +62,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("estimate a.png b.png --json no/x.json", ["--json: no/x.json: No such file"]),
         ("estimate auto b.png", ["error: auto cannot be read"]),
         ("estimate no.png b.png --mask1 no.png", ["error: no.png cannot be read"]),
+        (
+            "estimate frames/view0.png frames/view1.png --mask2 nowhere.png --json o.json",
+            ["nowhere.png cannot be read: No such"],
+        ),
         (f"batch empty {OUT}", ["empty", "no image, and a pair needs two"]),
         (f"reconstruct one {OUT}", ["one", "one image, and a pair needs two"]),
         (f"reconstruct walk/part {OUT}", ["walk/part", "2 images, and a model needs 3"]),

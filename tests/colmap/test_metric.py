@@ -54,7 +54,7 @@ def model_of(
     """A model with a camera at each centre (N, 3), all of one rotation."""
     camera = pycolmap.Camera(model="PINHOLE", width=640, height=480, params=params)
     R = rotation.as_matrix()
-    return colmap_model(NAMES, [(R, centre) for centre in centres], camera)
+    return colmap_model(NAMES[: len(centres)], [(R, centre) for centre in centres], camera)
 
 
 def centres_of(model: pycolmap.Reconstruction) -> np.ndarray:

@@ -366,5 +366,6 @@ def test_the_camera_that_the_matches_agree_with_is_found_and_told(case: Case) ->
         assert fitted[0].distortion == fitted[1].distortion
     if fitted[0].exact:
         assert model == "swapped" or pose.evidence.camera_agreement > 0.99
+    assert (pose.camera_covariance is None) == all(c.exact for c in fitted)
     if pose.camera_covariance is not None:
         _assert_deviations(pose, stated, model)

@@ -35,6 +35,7 @@ CERTAIN = [
     ("rotation_only", {**ROTATES, **SECOND, "num_second_inliers": 0}, {}),
     ("rotation_only", {**ROTATES, **SECOND, "second_rotation_deg": 2.9}, {}),
     ("rotation_only", {**ROTATES, "cheirality_ratio": 0.4}, {}),
+    ("rotation_only", {"still_ratio": 0.95, **SECOND, "second_rotation_deg": 2.9}, {}),
     ("rotation_only", {"still_ratio": 0.91}, {"still_ratio": 0.89}),
     # At most 1.5 x (1 + 4 / sqrt(100)) = 2.1
     ("rotation_only", {**TURNS, "parallax": 1.0}, {**TURNS, "parallax": 2.2}),
@@ -58,8 +59,8 @@ GATES = [
     ("undetermined", {"raw_rotation_90_deg": 25.0}, {"raw_rotation_90_deg": 23.0}),
     ("undetermined", {"raw_translation_90_deg": 25.0}, {"raw_rotation_90_deg": None}),
     ("ambiguous", {"num_second_inliers": 30}, {}),
-    ("planar", PLANE, {"homography_ratio": 0.8}),
-    ("planar", {**PLANE, "around_plane": 0.09}, {"homography_ratio": 0.8, "around_plane": 0.11}),
+    ("planar", PLANE, {"homography_ratio": 0.84}),
+    ("planar", {**PLANE, "around_plane": 0.09}, {"homography_ratio": 0.84, "around_plane": 0.11}),
     ("ambiguous", {**PLANE, "around_plane": 0.11}, {}),
     ("planar", {**PLANE, "around_plane": 0.11, "key_points": True}, {}),
 ]

@@ -90,14 +90,15 @@ def test_a_file_gives_its_pixels_in_rgb_and_is_refused_if_it_is_truncated(
         assert caught.value.path == path
 
 
+@pytest.mark.parametrize("suffixes", [("jpg", "png", "webp"), ("heic",)], ids=["all", "heic"])
 @pytest.mark.parametrize("orientation", [1, 2, 4, 6, 7])
 def test_an_image_is_upright_as_pillow_shows_it(
-    tmp_path: Path, rgb: np.ndarray, orientation: int
+    tmp_path: Path, rgb: np.ndarray, orientation: int, suffixes: tuple[str, ...]
 ) -> None:
     """An orientation becomes HEIF's own rotation, as in the files of telephones, and decoding
     applies that."""
     exif = orientation_tag(orientation)
-    for suffix in ("jpg", "png", "webp", "heic"):
+    for suffix in suffixes:
         image = load_image(save(tmp_path / f"turned.{suffix}", rgb, exif=exif.tobytes()))
         stored = PIL.Image.fromarray(load_image(save(tmp_path / f"a.{suffix}", rgb)).pixels)
         stored.getexif()[274] = orientation
@@ -132,6 +133,11 @@ def test_files_of_other_channels_and_depths_become_rgb_of_8_bits(
         assert cv2.imwrite(str(path), rgb[:, :, ::-1].astype(np.uint16) * (top // 255) // 2 + 100)
         assert np.abs(load_image(path).pixels - stretched).max() <= 1
         assert read_pixels(path).dtype == np.uint16
+
+
+def test_heic_of_other_channels_and_depths_becomes_rgb_of_8_bits(
+    tmp_path: Path, rgb: np.ndarray
+) -> None:
     pillow_heif = pytest.importorskip("pillow_heif")
     grey = np.repeat(rgb[:, :, :1], 3, axis=2)
     for mode, values in (("L", grey[:, :, 0]), ("RGB;16", grey.astype(np.uint16) * 257)):

@@ -57,8 +57,9 @@ def _located(scene: WorldScene, H: np.ndarray) -> Location:
     return search.location()
 
 
-def test_a_slanted_print_of_the_place_is_nowhere() -> None:
-    location = _located(world_scene(), _printed(15, 70))
+@pytest.mark.parametrize("axis_deg", [70, 90])
+def test_a_slanted_print_of_the_place_is_nowhere(axis_deg) -> None:
+    location = _located(world_scene(), _printed(15, axis_deg))
     assert location.status == "nowhere" and location.R is None
     assert location.reason.startswith("the query looks like a picture of the place: most matches")
     assert not any(image.agrees for image in location.database_images)

@@ -47,6 +47,12 @@ def rig(*lenses: Distortion | None, names: str = "abcdef", seed: int = 0) -> dic
     return cameras
 
 
+def in_world(cameras: dict[str, Location]) -> dict[str, Location]:
+    """The cameras in a frame that is none of theirs."""
+    W = Rotation.from_rotvec([0.1, 0.2, 0.3]).as_matrix()
+    return {n: replace(c, R=c.R @ W, centre=W.T @ c.centre + (1, 2, 3)) for n, c in cameras.items()}
+
+
 def turned(cameras: dict[str, Location], *angles: float) -> dict[str, Location]:
     """The cameras with rotations by these angles."""
     turns = [Rotation.from_rotvec(angle * np.array([0.6, 0, -0.8])).as_matrix() for angle in angles]
@@ -73,11 +79,12 @@ def pixels(location: Location, points: np.ndarray) -> np.ndarray:
     ("cameras", "stereo"),
     [
         (rig(*LENSES), []),
+        (in_world(rig(*LENSES)), []),
         (rig(*LENSES[:2]), ["stereo.yml"]),
         (turned(rig(None, None), np.pi, np.pi - 1e-7), ["stereo.yml"]),
         (rig(None, FOV), []),
     ],
-    ids=["lenses", "two", "half turns", "a lens that OpenCV lacks"],
+    ids=["lenses", "in a world", "two", "half turns", "a lens that OpenCV lacks"],
 )
 def test_a_rig_is_read_again_from_its_files(
     tmp_path: Path, cameras: dict[str, Location], stereo: list[str]
@@ -120,7 +127,7 @@ def test_the_tables_are_read_by_opencv(tmp_path: Path, name: str) -> None:
 
 
 def test_the_stereo_file_is_read_by_opencv(tmp_path: Path) -> None:
-    cameras = rig(*LENSES[:2])
+    cameras = in_world(rig(*LENSES[:2]))
     assert (tmp_path / "stereo.yml") in write_rig(tmp_path, cameras, {"unit": "m"})
     storage = cv2.FileStorage(str(tmp_path / "stereo.yml"), cv2.FILE_STORAGE_READ)
     read = {key: storage.getNode(key).mat() for key in ("M1", "D1", "M2", "D2", "R", "T", "E", "F")}

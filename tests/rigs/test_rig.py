@@ -207,6 +207,8 @@ def test_without_a_model_each_camera_has_a_reason(tmp_path: Path) -> None:
     for number in (1, 2):
         cv2.imwrite(str(walk / f"{number}.png"), pixels[number])
     known = {"north": K, "text": K, "grey": K}
+    own = estimate_rig(tmp_path / "frames", tmp_path / "own", K=known, **sift)
+    assert own.warnings == () and own.cameras["north"].status == "nowhere"
     rig = estimate_rig(tmp_path / "frames", tmp_path / "out", walk, K=known, **sift)
     assert rig.model is None and {*rig.cameras} == {"north"} | {path.stem for path in bad}
     for path in bad:

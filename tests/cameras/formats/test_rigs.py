@@ -130,6 +130,10 @@ def test_two_cameras_are_those_of_a_pair_in_their_order(
 def test_one_camera_is_that_of_all_images_but_half_of_a_stereo_file_of_none(tmp_path: Path) -> None:
     path = write_file(tmp_path / "one.toml", {"left": table(1)})
     assert image_camera(path, _image()).K[0, 0] == 501
+    row = "500 0 320 0 0 510 240 0 0 0 1 0"
+    path = write_file(tmp_path / "calib.txt", f"P0: {row}\nP1: {row}\nTr: 1 0 0")
+    camera = image_camera(path, _image())
+    assert camera.K[0, 0] == 500 and camera.warnings == ()
     path = write_file(tmp_path / "half.yml", Storage(M1=matrix(501)))
     assert parse_camera(f"{path}:M1").K[0, 0] == 501
     with pytest.raises(InputError, match="no camera for a.png: choose one of M1, as in"):
