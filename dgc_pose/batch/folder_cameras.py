@@ -87,7 +87,7 @@ def folder_cameras(poses: PoseRunner, cameras: Cameras) -> list[PooledCamera]:
             certain.add(name)
 
     loose = apart | {name for name, names in groups.items() if len(names) == 1}
-    own: Cameras = {}
+    own = dict[str, Camera]()
     some = set[int]()
     for row in rows:
         if loose & {*row.names} and certain & {*row.names}:
