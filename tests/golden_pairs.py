@@ -16,6 +16,7 @@ import numpy as np
 from rendered import RenderedPair, render_scene_pair
 
 from dgc_pose import EstimationOptions, Matcher, estimate_relative_pose, load_matcher
+from dgc_pose.images.image import Image, load_pair
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
 RECORDED = Path(__file__).with_suffix(".csv")
@@ -61,6 +62,13 @@ def rendered(group: str, number: int) -> RenderedPair:
     return replace(pair, image2=other.image2, K2=other.K2)
 
 
+@lru_cache(maxsize=1)
+def images(group: str, number: int) -> tuple[Image, Image]:
+    """The pictures of a pair, of which each way has the same features."""
+    pair = rendered(group, number)
+    return load_pair((pair.image1, pair.image2))
+
+
 @cache
 def matcher(name: str) -> Matcher:
     return load_matcher(name)
@@ -72,8 +80,7 @@ def answer(group: str, number: int, way: str) -> Answer:
     effort = way if way in ("fast", "thorough") else "auto"
     K1, K2 = ("auto", "auto") if way == "K=auto" else (pair.K1, pair.K2)
     pose = estimate_relative_pose(
-        pair.image1,
-        pair.image2,
+        *images(group, number),
         K1,
         K2,
         matcher=matcher("sift" if way == "sift" else "dgcm-lite0"),
