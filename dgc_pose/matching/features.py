@@ -10,7 +10,7 @@ fraction of a cell. Only the comparison at stride 16 is quadratic in the number 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain
@@ -66,6 +66,7 @@ class CommonViews:
     first: Shown
     second: Shown
     scale: float  # of their sides, over the sides at full resolution
+    encoded: Mapping[Shown, Encoded]
 
 
 def feature_matches(
@@ -93,7 +94,9 @@ def feature_matches(
             comparisons.append((_squeezed(first, axis), second, None))
             comparisons.append((first, _squeezed(second, axis), None))
         comparisons += [(first, second, pose) for pose in hypotheses[:MOST_HYPOTHESES]]
-    encoded = encode_each(engine, cache, chain(*(comparison[:2] for comparison in comparisons)))
+    shown = chain(*(comparison[:2] for comparison in comparisons))
+    others = encode_each(engine, cache, [one for one in shown if one not in views.encoded])
+    encoded = {**views.encoded, **others}
 
     def compare(comparison: tuple[Shown, Shown, TwoViews | None]) -> Matches:
         source, target, hypothesis = comparison
@@ -113,7 +116,12 @@ def encode_each(engine: Engine, cache: ImageCache, shown: Iterable[Shown]) -> di
 
 
 def common_views(
-    image1: Image, image2: Image, dense: CorrespondenceMap, long_side: int = LONG_SIDE
+    engine: Engine,
+    cache: ImageCache,
+    image1: Image,
+    image2: Image,
+    dense: CorrespondenceMap,
+    long_side: int = LONG_SIDE,
 ) -> CommonViews:
     """The views to compare, by the map, with a longest side of about `long_side` pixels."""
     scale = 2.0 ** round(math.log2(scale_between(dense)))
@@ -136,7 +144,8 @@ def common_views(
     first = shown_at(view1, factor1)
     second = shown_at(view2, factor2)
     full = shown_at(view1, full1)
-    return CommonViews(first, second, max(first[1]) / max(full[1]))
+    encoded = encode_each(engine, cache, (first, second))
+    return CommonViews(first, second, max(first[1]) / max(full[1]), encoded)
 
 
 def shown_at(view: View, factor: float) -> Shown:

@@ -25,7 +25,6 @@ from dgc_pose.matching.features import (
     LONG_SIDE,
     CommonViews,
     common_views,
-    encode_each,
     feature_matches,
 )
 from dgc_pose.matching.lightglue import LightGlueMatcher, as_second, is_available
@@ -128,7 +127,7 @@ class NetworkMatcher(Matcher):
             return result
         if result.aligned is not None:
             aligned = agreeing = Matches.joined([result.matches, aligned])
-        views = common_views(image1, image2, dense)
+        views = common_views(self.engine, self.cache, image1, image2, dense)
         return self._selected(views, dense, aligned, agreeing) or result
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
@@ -150,7 +149,7 @@ class NetworkMatcher(Matcher):
         """The matches of `feature_matches`, refined on the images; None if too few remain. instead:
         matches to refine if too few of these remain. first: pairs of aligned and agreeing matches
         (see `refine`) to add."""
-        views = common_views(image1, image2, dense, side)
+        views = common_views(self.engine, self.cache, image1, image2, dense, side)
         found = feature_matches(self.engine, self.cache, dense, views, hypotheses)
         most = self.options.max_matches
         radius = COARSE_CORNER_RADIUS if side == COARSE_SIDE else CORNER_RADIUS
@@ -191,8 +190,7 @@ class NetworkMatcher(Matcher):
         image1, image2 = (view.image for view, _ in both)
         most = self.options.max_matches
         chosen = chosen.subset(spread(chosen.points2, chosen.confidence, image2.size, most))
-        encoded = encode_each(self.engine, self.cache, both)
-        shown = [encoded[view] for view in both]
-        share = context_ratio(shown, self.textures(image1, image2), chosen, views.scale)
+        encoded = [views.encoded[shown] for shown in both]
+        share = context_ratio(encoded, self.textures(image1, image2), chosen, views.scale)
         chosen = replace(chosen, context_ratio=share)
         return MatchResult(chosen, dense, chosen if enough else aligned)

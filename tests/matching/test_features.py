@@ -105,8 +105,9 @@ def test_a_rotated_picture_matches_itself(engine: TorchEngine, angle: float) -> 
     grid = dense_scene.grid(60, 60, rotated.size)
     sizes = (192, 160), rotated.size
     guide = dense_scene.make_map(rotated.to_image(grid) + 10, grid, sizes, 0.9)
-    views = common_views(Image(pixels), Image(second), guide, 192)
-    (found,) = feature_matches(engine, ImageCache(), guide, views)
+    cache = ImageCache()
+    views = common_views(engine, cache, Image(pixels), Image(second), guide, 192)
+    (found,) = feature_matches(engine, cache, guide, views)
     off = found.points1 - rotated.to_image(found.points2)
     if angle % 90 == 0:
         assert len(found) > 200
@@ -131,7 +132,7 @@ def test_matches_near_the_lines_of_a_hypothesis_are_near_them(engine: TorchEngin
     cache = ImageCache()
 
     def guided(hypotheses: list[TwoViews]) -> list[Matches]:
-        views = common_views(first, second, guide)
+        views = common_views(engine, cache, first, second, guide)
         return feature_matches(engine, cache, guide, views, hypotheses)
 
     near = guided([true, wrong])[4:]
@@ -165,7 +166,9 @@ def test_a_squeezed_picture_matches_itself_once_the_other_is_squeezed(
     grid = dense_scene.grid(60, 60, sizes[1])
     guide = dense_scene.make_map(rescale(grid, sizes[1], sizes[0]), grid, sizes, 0.0)
     images = [Image(pixels) for pixels in pictures]
-    every = feature_matches(engine, ImageCache(), guide, common_views(*images, guide), [])
+    cache = ImageCache()
+    views = common_views(engine, cache, *images, guide)
+    every = feature_matches(engine, cache, guide, views, [])
     assert len(every) == 4
     counts = []
     for matches in every:

@@ -19,6 +19,7 @@ from dgc_pose.matching import (
     MatchingOptions,
     MatchResult,
     NetworkMatcher,
+    features,
     network_matcher,
 )
 from dgc_pose.matching.dense import dense_map
@@ -55,7 +56,7 @@ def _features(monkeypatch: pytest.MonkeyPatch, first: Matches, *more: Matches) -
         return [first] if hypotheses is None else [*more[: len(hypotheses)]]
 
     monkeypatch.setattr(network_matcher, "feature_matches", found)
-    monkeypatch.setattr(network_matcher, "encode_each", lambda e, c, both: dict.fromkeys(both))
+    monkeypatch.setattr(features, "encode_each", lambda e, c, both: dict.fromkeys(both))
     monkeypatch.setattr(network_matcher, "context_ratio", lambda *arguments: None)
 
 
