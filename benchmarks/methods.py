@@ -103,6 +103,8 @@ def parse_methods(
     matcher of key points.
     """
     matcher = matcher or MatcherOptions()
+    estimation = estimation or EstimationOptions()
+    cameras = cameras or CameraTrial()
     methods = list[Method]()
     named = {name.removesuffix(EVERYWHERE) for name in names}
     for text in [*names, *(name for name in stored if name not in named)]:
@@ -115,15 +117,7 @@ def parse_methods(
             used = replace(used, matching=replace(used.matching, aligned="none"))
         if everywhere and not used.is_network and weights not in (FLOW, *stored):
             raise InputError(f"{text}: {weights} has no dense map, which {EVERYWHERE} needs")
-        methods.append(
-            Method(
-                text,
-                used,
-                estimation or EstimationOptions(),
-                cameras or CameraTrial(),
-                everywhere,
-            )
-        )
+        methods.append(Method(text, used, estimation, cameras, everywhere))
     if not methods:
         raise InputError("no methods named")
     return methods

@@ -56,11 +56,12 @@ def if_mirrored(
     flips = bool(pose.hypotheses) and pose.hypotheses[0].R[1, 1] < 0
     mirrored = 0
     for axis in (1, 0) if flips else (1,):
-        mirror = _mirror_image(image2, cameras[1], axis)
-        if mirror is None:
+        try:
+            image, camera = mirror_image(image2, cameras[1], axis)
+        except InputError:
             return None
-        other = _coarse_pose(image1, mirror[0], (cameras[0], mirror[1]), matcher, options)
-        matcher.cache.forget(mirror[0])  # no other pair uses it
+        other = _coarse_pose(image1, image, (cameras[0], camera), matcher, options)
+        matcher.cache.forget(image)  # no other pair uses it
         if other is not None and _is_likely(other, _SURE if pose.R is None else 0.0):
             mirrored = max(mirrored, _agreeing(other))
     if not mirrored:
@@ -124,12 +125,10 @@ def mirrored_triangles(matches: Matches, size: tuple[int, int]) -> float:
     return float((turns < 0).mean()) if len(turns) else 0.0
 
 
-def _mirror_image(image: Image, camera: Camera, axis: int) -> tuple[Image, Camera] | None:
-    """The mirror image, see `flipped`, and its camera; None if the camera cannot be mirrored."""
-    try:
-        return flipped(image, axis), camera.turned(exif_turn(2 if axis else 4), image.size)
-    except InputError:
-        return None
+def mirror_image(image: Image, camera: Camera, axis: int) -> tuple[Image, Camera]:
+    """The mirror image, see `flipped`, and its camera. Raises InputError if the camera cannot be
+    mirrored, see `Camera.turned`."""
+    return flipped(image, axis), camera.turned(exif_turn(2 if axis else 4), image.size)
 
 
 def _coarse_pose(

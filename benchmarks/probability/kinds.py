@@ -14,8 +14,8 @@ import numpy as np
 
 from dgc_pose.benchmarks.posed_pairs import ListedPairs, PosedPair
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.geometry.pixels import exif_turn
-from dgc_pose.images.image import Image, flipped, resize
+from dgc_pose.images.image import Image, resize
+from dgc_pose.mirror import mirror_image
 
 Alteration = Literal["swapped", "enlarged", "bordered", "turned", "darkened"]
 ALTERATIONS: tuple[Alteration, ...] = get_args(Alteration)
@@ -75,8 +75,7 @@ def _turned(listed: ListedPairs, number: int, rng: np.random.Generator) -> Posed
 def _mirrored(listed: ListedPairs, number: int, rng: np.random.Generator) -> PosedPair:
     """A pair whose image 2 is mirrored left to right."""
     pair = listed.pair(number)
-    image2 = flipped(pair.image2, 1)
-    camera2 = pair.camera2.turned(exif_turn(2), image2.size)
+    image2, camera2 = mirror_image(pair.image2, pair.camera2, 1)
     return replace(pair, image2=image2, camera2=camera2, R=None, t=None)
 
 

@@ -112,7 +112,9 @@ class PlacedPair:
         order = (0, 1)
         R = pose.R
         if images[0] > images[1]:
-            order, R, t = (1, 0), R.T, -R.T @ t
+            order = (1, 0)
+            t = -R.T @ t
+            R = R.T
         a, b = order
         sides = (cells[a], cells[b]), (log_depths[a], log_depths[b])
         return cls((images[a], images[b]), R, t, errors, *sides)

@@ -88,7 +88,7 @@ class JointFit:
     """Least squares of pose and cameras for one problem whose cameras are not exact."""
 
     problem: TwoViewProblem
-    width: float = math.inf  # of the losses, in the problem's unit; of inliers that are fitted
+    width: float = math.inf  # of the losses, in the problem's unit; `linearised`, `slopes` need it
 
     @cached_property
     def prior(self) -> IntrinsicsPrior:
@@ -131,23 +131,23 @@ class JointFit:
 
     def linearised(self, pose: JointPose) -> Slopes:
         """The losses of all matches and the prior, by the pose and the parameters (5 + M,)."""
-        return self._slopes(pose, self.width, self.prior).with_prior(pose.z)
+        return self._slopes(pose, self.prior).with_prior(pose.z)
 
     def moved(self, pose: JointPose, step: np.ndarray) -> JointPose:
         """The pose after a step (5 + M,), which is shortened if a focal length changes too much."""
         change = np.abs((self.prior.basis @ step[5:])[FOCALS]).max(initial=0)
         return pose.moved(step * min(1.0, _LARGEST_STEP / max(change, 1e-12)))
 
-    def slopes(self, pose: JointPose, width: float, prior: IntrinsicsPrior) -> Slopes:
+    def slopes(self, pose: JointPose, prior: IntrinsicsPrior) -> Slopes:
         """The losses by the pose and a prior's parameters (5 + M,), without the prior itself and
-        without errors above `MOST_ERROR`. width: of the losses, in the problem's unit."""
+        without errors above `MOST_ERROR`."""
         counted = self._errors(pose) < MOST_ERROR * self.problem.threshold
-        part = JointFit(self.problem.subset(counted))
-        return part._slopes(pose, width, prior)
+        part = JointFit(self.problem.subset(counted), self.width)
+        return part._slopes(pose, prior)
 
-    def _slopes(self, pose: JointPose, width: float, prior: IntrinsicsPrior) -> Slopes:
+    def _slopes(self, pose: JointPose, prior: IntrinsicsPrior) -> Slopes:
         error, slopes, _ = error_slopes(self.problem, pose.R, pose.t, prior, self.parameters(pose))
-        return cauchy_slopes(error, slopes, width)
+        return cauchy_slopes(error, slopes, self.width)
 
     def _errors(self, pose: JointPose) -> np.ndarray:
         """Sampson errors (N,), in the problem's unit; infinite if a distortion is not undone."""

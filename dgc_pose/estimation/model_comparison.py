@@ -91,7 +91,7 @@ def likeliest_model(problem: TwoViewProblem, pose: JointPose) -> ModelFit:
 
 
 def _is_determined(assumed: ModelFit) -> bool:
-    """Whether the matches determine the focal lengths. The tail of a prior tells nothing then."""
+    """Whether the matches determine the focal lengths, and the tail of a prior is no model."""
     before = max(camera.focal_std for camera in assumed.cameras)
     return assumed.focal_std <= _DETERMINED * before
 
@@ -104,7 +104,7 @@ def _with_margin(fit: ModelFit) -> float:
 def _with_others(
     best: ModelFit, fits: Sequence[ModelFit], shares: Sequence[float], doubt: float
 ) -> ModelFit:
-    """The likeliest model with what the other models say of its pose."""
+    """The likeliest model with the uncertainty of its pose by the other models."""
     assert best.pose is not None  # because its evidence is finite
     covariance = np.zeros((6, 6))
     agreement = 0.0
@@ -148,13 +148,13 @@ class _Sample:
         options = problem.options
         drawn = problem.matches.subset(np.sort(draw(problem, options.seed, _SAMPLED).index))
         weight = min(max(len(problem) / max(len(drawn), 1), 1.0), _most_weight(stated))
-        joint = JointFit(
-            TwoViewProblem.of(drawn, *stated, replace(options, iterations=_ITERATIONS))
-        )
+        sampled = TwoViewProblem.of(drawn, *stated, replace(options, iterations=_ITERATIONS))
+        joint = JointFit(sampled)
         pixels = problem.threshold_px
         error = _errors(joint, pose, pixels)
         near = error[error < 1]
         width = loss_width(near, 1.0) if len(near) else 1.0
+        joint = JointFit(sampled, _width_for(stated, width * pixels))
         return cls(joint, pose, pixels, weight, error, width)
 
     def quadratic(self, joint: JointFit, pose: JointPose) -> Quadratic:
@@ -162,7 +162,7 @@ class _Sample:
         loss = self.weight * float(
             cauchy_losses(_errors(joint, pose, self.pixels), self.width).sum()
         )
-        slopes = joint.slopes(pose, self._width_of(joint), _ALL)
+        slopes = joint.slopes(pose, _ALL)
         return Quadratic(
             joint.problem.cameras,
             pose,
@@ -172,12 +172,9 @@ class _Sample:
             self.weight * slopes.gradient,
         )
 
-    def _width_of(self, joint: JointFit) -> float:
-        """The width of the losses in the unit of a problem, whose threshold may be another."""
-        return self.width * self.pixels * normalised_pixel(joint.problem.cameras)
-
     def _joint_of(self, cameras: Cameras) -> JointFit:
-        return JointFit(self.joint.problem.with_cameras(cameras))
+        problem = self.joint.problem.with_cameras(cameras)
+        return JointFit(problem, _width_for(cameras, self.width * self.pixels))
 
     def compared(self, assumed: ModelFit, others: Sequence[ModelFit]) -> list[ModelFit]:
         """The assumed model and the others, each of which is fitted while its estimate is the
@@ -312,9 +309,14 @@ class _Sample:
         is_far = bool((np.abs(focals) > _MOST_STDS * stds).any())
         if is_worse or (is_far and fit.model.name != "assumed"):
             return fit
-        hessian = joint.slopes(pose, self._width_of(joint), joint.prior).hessian
+        hessian = joint.slopes(pose, joint.prior).hessian
         loss = self.weight * float(losses.sum())
         return fit.with_evidence(pose, loss, self.weight * hessian)
+
+
+def _width_for(cameras: Cameras, pixels: float) -> float:
+    """A width in pixels, in the unit of the points that these cameras normalise."""
+    return pixels * normalised_pixel(cameras)
 
 
 def _errors(joint: JointFit, pose: JointPose, pixels: float) -> np.ndarray:

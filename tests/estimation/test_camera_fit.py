@@ -76,7 +76,7 @@ def test_the_slopes_are_those_of_the_losses() -> None:
     scene, joint = _joint(pinhole(800, IMAGE), outliers=0.0, sigma_px=0.5)
     width = joint.problem.threshold
     pose = JointPose(scene.R, scene.t, 0.02 * np.ones(len(joint.prior)))
-    _, information, gradient = joint.slopes(pose, width, joint.prior)
+    _, information, gradient = JointFit(joint.problem, width).slopes(pose, joint.prior)
     tangent = tangent_axes(pose.t)
     assert information.shape == (len(gradient),) * 2 == (5 + len(joint.prior),) * 2
     np.testing.assert_allclose(tangent.T @ tangent, np.eye(2), atol=1e-9)
