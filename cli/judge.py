@@ -108,7 +108,7 @@ def judge(
         _folder(outputs.batch) as folder,
     ):
         done = run_source(opened, folder, cameras, MatcherOptions(), estimation, work)
-        for line in given.said:
+        for line in given.notes:
             to_stderr(line)
         require_judged(done.rows)
         rows = by_doubt(done.rows)

@@ -193,9 +193,9 @@ def rig_text(found: Rig) -> str:
         focal = f"f = {location.camera.focal:.1f} px"
         turn = f"R +- {location.rotation_error_90_deg:.2f} deg"
         lines.append(f"{name}: centre {centre}, {turn}, {focal}{likely}")
-    told = [
+    own = [
         f"{name}: {text}" for name, location in found.cameras.items() for text in location.warnings
     ]
-    lines += [f"warning: {warning}" for warning in (*found.warnings, *told)]
+    lines += [f"warning: {warning}" for warning in (*found.warnings, *own)]
     lines += [f"{fact.replace('_', ' ')}: {value}" for fact, value in found.metric.items()]
     return "\n".join(map(printable, lines))

@@ -201,7 +201,7 @@ def without_camera(source: Source, calibration: Calibration) -> list[str]:
     """The images for which neither the source nor the calibration states a camera."""
     lacking = list[str]()
     for name in source.names:
-        with suppress(InputError):  # of cameras that cannot be told apart, `survey` raises it
+        with suppress(InputError):  # of ambiguous cameras, `survey` raises it
             if name not in source.cameras and calibration.lacks(source.root, name):
                 lacking.append(name)
     return lacking

@@ -107,7 +107,7 @@ class Camera:
         focal_prior: For a focal length that no K states, see `FocalPrior`; K and `focal_std` are
             its likeliest part.
         picture: The camera of the same image as without K, for a pair whose K is stated; None, as
-            in folders: the size tells it.
+            in folders: it follows from the size.
     """
 
     K: np.ndarray

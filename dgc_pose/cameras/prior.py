@@ -182,14 +182,14 @@ def is_inner(camera: Camera) -> bool:
 
 @one_blas_thread()
 def with_pictures(cameras: Sequence[Camera], images: Sequence[Image]) -> list[Camera]:
-    """If all have a K, update the cameras with what their images say of it: by size and EXIF data,
+    """If all have a K, add the cameras that their images have without it: by size and EXIF data,
     and by lines if a K is unusual."""
     if any(camera.focal_source != "given" for camera in cameras):
         return list(cameras)
     pictures = [auto_camera(image) for image in images]
-    told = [replace(c, picture=p) for c, p in zip(cameras, pictures, strict=True)]
-    if all(improbability(camera) < USUAL_K for camera in told):
-        return told
+    known = [replace(c, picture=p) for c, p in zip(cameras, pictures, strict=True)]
+    if all(improbability(camera) < USUAL_K for camera in known):
+        return known
     pictures = with_lines(pictures, images)
     return [replace(c, picture=p) for c, p in zip(cameras, pictures, strict=True)]
 

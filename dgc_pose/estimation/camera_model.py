@@ -33,7 +33,7 @@ class CameraModel:
     name: ModelName
     change: Change
     # What the matches agree with: of a camera before and after the fit; "" for nothing unusual.
-    says: Callable[[Camera, Camera], str]
+    text: Callable[[Camera, Camera], str]
     log_odds: float  # prior, against the cameras that are stated or assumed
     # In docs/method.md: what the model opens or changes, and its odds; {} stands for `log_odds`.
     opens: str = ""
@@ -82,15 +82,15 @@ def with_model(camera: Camera, name: str) -> Camera:
     return camera if variant is None else variant.cameras[0]
 
 
-def _said(name: str, stated: Cameras, fitted: Cameras) -> list[str]:
-    says = model_named(name).says
-    return [says(before, camera) for before, camera in zip(stated, fitted, strict=True)]
+def _texts(name: str, stated: Cameras, fitted: Cameras) -> list[str]:
+    text = model_named(name).text
+    return [text(before, camera) for before, camera in zip(stated, fitted, strict=True)]
 
 
 def unusual_cameras(name: str, stated: Cameras, fitted: Cameras) -> tuple[str, ...]:
     """What the matches agree with instead of what is stated, a line for each of unlike cameras.
     stated: before the fit."""
-    first, second = _said(name, stated, fitted)
+    first, second = _texts(name, stated, fitted)
     if first == second:
         return (f"the matches agree with {first}",) if first else ()
     numbered = (("image 1", first), ("image 2", second))
@@ -100,8 +100,8 @@ def unusual_cameras(name: str, stated: Cameras, fitted: Cameras) -> tuple[str, .
 def camera_warnings(name: str, stated: Cameras, fitted: Cameras) -> tuple[str, ...]:
     """Warnings about unusual or uncertain fitted cameras, a line each. stated: before the fit."""
     lines = dict.fromkeys(unusual_cameras(name, stated, fitted))
-    for camera, said in zip(fitted, _said(name, stated, fitted), strict=True):
-        if camera.focal_std > _UNCERTAIN_STD and not said:
+    for camera, text in zip(fitted, _texts(name, stated, fitted), strict=True):
+        if camera.focal_std > _UNCERTAIN_STD and not text:
             within = f"f = {camera.focal:.0f} px within {100 * camera.focal_std:.0f} %"
             lines[f"the focal length is uncertain: {within}"] = None
     return tuple(lines)

@@ -166,8 +166,8 @@ def _estimated(
     problem: TwoViewProblem, map_matches: Matches | None, fit_cameras: bool
 ) -> RelativePose:
     """`estimate_pose` for matches of one motion, normalised by the stated cameras."""
-    said = (*(w for camera in problem.cameras for w in camera.warnings), *problem.warnings)
-    warnings = tuple(dict.fromkeys(said))
+    lines = (*(line for camera in problem.cameras for line in camera.warnings), *problem.warnings)
+    warnings = tuple(dict.fromkeys(lines))
     inliers = np.zeros(len(problem.matches), dtype=bool)
 
     def failure(status: Status, reason: str) -> RelativePose:

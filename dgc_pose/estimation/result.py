@@ -263,12 +263,12 @@ class RelativePose:
         Without a pose, the reason is the first of the warnings. If the pair is ambiguous, the
         alternatives are all of its poses, the likeliest first.
         """
-        told = ("R", "t", "num_inliers", "probability")
+        facts = ("R", "t", "num_inliers", "probability")
         return {
             **{name: plain(getattr(self, name)) for name in _PLAIN},
             "tested_matchers": list(self.tested_matchers),
             "alternatives": [
-                {name: plain(getattr(other, name)) for name in told} for other in self.alternatives
+                {name: plain(getattr(other, name)) for name in facts} for other in self.alternatives
             ],
             "warnings": ([] if self.success else [self.reason]) + list(self.warnings),
             "seconds": {step: round(value, 4) for step, value in self.seconds.items()},
@@ -288,14 +288,14 @@ class RelativePose:
         """
         with read_as("a pose of to_dict", "data"):
             facts = STATUSES[data["status"]]
-            said = tuple(data["warnings"])
+            lines = tuple(data["warnings"])
             others = [_parsed(other, ["R", "t", "probability"]) for other in data["alternatives"]]
             return cls(
                 **_parsed(data, [fact.name for fact in fields(cls) if fact.name in _PLAIN]),
-                reason=facts.meaning if facts.has_t else said[0],
+                reason=facts.meaning if facts.has_t else lines[0],
                 tested_matchers=tuple(data.get("tested_matchers", ())),  # older results have none
                 alternatives=tuple(Hypothesis(**o, in_front=np.zeros(0, bool)) for o in others),
-                warnings=said[not facts.has_t :],
+                warnings=lines[not facts.has_t :],
                 seconds=data["seconds"],
             )
 

@@ -153,8 +153,8 @@ def _centred(camera: Camera) -> Camera:
 
 
 def picture(stated: Cameras, log_odds: float) -> Iterator[Variant]:
-    """The cameras as without K: one camera, or one for each image. log_odds: for a usual K, which
-    says nothing of its picture."""
+    """The cameras as without K: one camera, or one for each image. log_odds: for a usual K, whose
+    picture would be as probable without it."""
     if not _have_K_and_pictures(stated):
         return
     first, second = map(picture_camera, stated)

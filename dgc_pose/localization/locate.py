@@ -172,8 +172,8 @@ class Locator:
         if not names:
             usable = f"{len(self._features)} of {len(self.model.poses)} images of the model"
             none = f"{usable} can be used, and besides the query none"
-            told = (*warnings, *camera.warnings)
-            return Location("nowhere", none, (), camera=camera, warnings=told, seconds=seconds)
+            lines = (*warnings, *camera.warnings)
+            return Location("nowhere", none, (), camera=camera, warnings=lines, seconds=seconds)
         features = self.matcher.coarse_features(image)
         scores = {name: similarity(features, self._features[name]) for name in names}
         seconds["describe"] = time.perf_counter() - start
@@ -229,10 +229,10 @@ class Locator:
         location = search.location()
         if not against_K or (location.success and search.stated is camera):
             return location
-        said = f"{image.name}: {_against(camera, location, against_K)}"
+        warning = f"{image.name}: {_against(camera, location, against_K)}"
         if location.success:  # by another camera than the stated one
-            said += "; the location is without this K"
-        return replace(location, warnings=(said, *location.warnings))
+            warning += "; the location is without this K"
+        return replace(location, warnings=(warning, *location.warnings))
 
     def _points(
         self, name: str, image: Image, pose: RelativePose, matches: Matches
@@ -248,10 +248,10 @@ class Locator:
 
 
 def _against(stated: Camera, location: Location, count: int) -> str:
-    """What the matches say of a K. count: database images whose matches contradict it."""
+    """Why a K is contradicted. count: database images whose matches contradict it."""
     if location.camera is not None and location.success:
-        for said in (camera_texts.focal, camera_texts.centre):
-            if text := said(stated, location.camera):
+        for text_of_part in (camera_texts.focal, camera_texts.centre):
+            if text := text_of_part(stated, location.camera):
                 return f"the matches agree with {text}"
     return f"the matches with {count} of the database images contradict K"
 

@@ -290,12 +290,12 @@ class LocationSearch:
             return ()
         squeeze = abs(math.log(camera.K[1, 1] / camera.K[0, 0] * K[0, 0] / K[1, 1]))
         shift = float(np.abs(camera.K[:2, 2] - K[:2, 2]).max())
-        said = []
+        texts = []
         if squeeze > max(_SQUEEZED, _UNUSUAL_STDS * camera.aspect_std):
-            said.append(camera_texts.squeezed(camera))
+            texts.append(camera_texts.squeezed(camera))
         if shift > max(FAR_OFF * max(image_size(camera)), _UNUSUAL_STDS * camera.centre_std):
-            said.append(camera_texts.off_centre(camera))
-        return tuple(f"the matches agree with {text}" for text in said)
+            texts.append(camera_texts.off_centre(camera))
+        return tuple(f"the matches agree with {text}" for text in texts)
 
     def _why_picture(self) -> str:
         """Why the query is a picture of the place; empty for another one."""

@@ -199,7 +199,7 @@ def installed() -> Path:
 
 @contextmanager
 def as_second() -> Iterator[None]:
-    """An error of weights within the block says how to do without a second matcher."""
+    """An error of weights within the block names the option that leaves out the second matcher."""
     try:
         yield
     except WeightsError as error:

@@ -2,7 +2,7 @@
 covariance.
 
 COLMAP's adjustment knows no prior of a focal length or a lens, and takes all errors as independent.
-Here a camera is what its prior and the matches say together. The residuals are those of a location:
+Here its prior and the matches determine a camera together. The residuals are those of a location:
 reprojection errors of points, and Sampson errors of matches. The points are eliminated.
 """
 

@@ -140,8 +140,8 @@ def still_pictures(found: CameraFrames, folder: Path, masks: Path) -> StillPictu
         try:
             if not images:
                 raise InputError(reasons.pop(0))
-            pictures[name], told = still_picture(images, name, folder, masks)
-            reasons += told
+            pictures[name], left_out = still_picture(images, name, folder, masks)
+            reasons += left_out
         except DgcPoseError as error:
             bad[name] = str(error)
         lines += reasons
@@ -170,7 +170,7 @@ def still_picture(
     if len(frames) == 1 and frames[first].exif.orientation == 1:
         require_matchable(frames[first])
         return Path(shutil.copy2(first, folder / f"{name}{first.suffix}")), []
-    frames, told = steady_frames(frames)
+    frames, line = steady_frames(frames)
     stack = np.stack([image.pixels for image in frames.values()])
     still = np.median(stack, axis=0).astype(np.uint8)
     grey, *others = (cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY) for pixels in (still, *stack))
@@ -190,4 +190,4 @@ def still_picture(
         with naming_path(file):
             file.write_bytes(cv2.imencode(".png", pixels)[1].tobytes())
             os.utime(file, ns=(newest, newest))  # --resume compares times
-    return path, [told] if told else []
+    return path, [line] if line else []

@@ -22,7 +22,7 @@ _LEAST = 20  # least number
 def steady_frames(frames: Mapping[Path, Image]) -> tuple[dict[Path, Image], str]:
     """The frames in the position that most frames have, and a sentence if others are left out.
 
-    A frame whose position cannot be told is kept. frames: of one size. Raises InputError, with the
+    A frame whose position is unknown is kept. frames: of one size. Raises InputError, with the
     largest motion of the picture, if no position has more than half of the frames.
     """
     paths = [*frames]
@@ -41,8 +41,8 @@ def steady_frames(frames: Mapping[Path, Image]) -> tuple[dict[Path, Image], str]
     if 2 * int(agree[best].sum()) <= int(is_known.sum()):
         none = f"no position has most of the {len(frames)} frames"
         raise InputError(f"{observed} {between}, and {none}")
-    told = f"{observed} {between}: the {kept} of {len(frames)} frames in one position are used"
-    return {path: frames[path] for n, path in enumerate(paths) if n not in left_out}, told
+    line = f"{observed} {between}: the {kept} of {len(frames)} frames in one position are used"
+    return {path: frames[path] for n, path in enumerate(paths) if n not in left_out}, line
 
 
 def _motions(frames: list[Image]) -> np.ndarray:

@@ -181,13 +181,13 @@ def plot_location(model: Model, query: str, location: Location) -> Figure:
     images of most inliers."""
     figure = new_figure(WIDTH, WIDTH / 2)
     grid = figure.add_gridspec(2, 2, width_ratios=(1, 1.2))
-    said = location.reason
+    headline = location.reason
     if location.success:
-        said = (
+        headline = (
             f"R within {location.rotation_error_90_deg or 0:.2f}°, centre within "
             f"{location.position_error_90 or 0:.2g} in 90 % of cases, if it is right"
         )
-    figure.suptitle(f"{printable(Path(query).name)}: {said}", parse_math=False)
+    figure.suptitle(f"{printable(Path(query).name)}: {headline}", parse_math=False)
     _draw_place(figure.add_subplot(grid[:, 0]), model, location)
     image = load_image(query)
     used = [matched for matched in location.database_images if matched.agrees]

@@ -97,7 +97,7 @@ def test_a_database_of_pycolmap(tmp_path: Path, columns: int) -> None:
     assert_the_world(given)
     camera = given.cameras[PAIR[0]]
     assert np.allclose(camera.K, CAMERA.K) and camera.size == IMAGE
-    assert "(0.5, 0.5): 0.5 is subtracted" in given.said[0] and len(given.said) == 1
+    assert "(0.5, 0.5): 0.5 is subtracted" in given.notes[0] and len(given.notes) == 1
     with pycolmap.Database.open(tmp_path / "a.db") as database:
         id1, id2 = (database.read_image_with_name(name).image_id for name in PAIR)
         assert isinstance(given, IndexedMatches)
@@ -140,7 +140,7 @@ def test_a_database_with_a_log(tmp_path: Path) -> None:
 
 def test_inliers_stand_for_matches_that_are_missing(tmp_path: Path) -> None:
     given = read_given(write_geometries(tmp_path / "a.db"))
-    assert "their inliers are judged" in given.said[1]
+    assert "their inliers are judged" in given.notes[1]
     assert_the_world(given, step=2)
 
 
@@ -155,7 +155,7 @@ def test_files_of_hloc(tmp_path: Path, mark: str) -> None:
     given = read_given(write_hloc(WORLD, tmp_path / "h", mark))
     assert_the_world(given)
     assert given.read(PAIR).confidence[0] == pytest.approx(0.9, abs=1e-3)
-    assert "(0, 0), as here" in given.said[0]
+    assert "(0, 0), as here" in given.notes[0]
     for uncertainties, error_px in (((None, 2.5), 2.5), ((0.5, 0.7), 0.7), ((0.5, None), 1.0)):
         with h5py.File(tmp_path / "h/feats-any.h5", "r+") as file:
             for name, uncertainty in zip(PAIR, uncertainties, strict=True):
@@ -230,7 +230,7 @@ def test_a_pair_that_is_there_twice_is_told(tmp_path: Path) -> None:
         _npz(tmp_path / "n" / f"{file}.npz")
     given = read_given(tmp_path / "n")
     assert [*given.places] == [("a", "b"), ("c", "a")]
-    first, second = given.said
+    first, second = given.notes
     assert first.startswith("3 .npz: ")
     assert second.endswith("left out, as their pairs have some already: 1 (first: b_a.npz)")
     write_hloc(WORLD, tmp_path / "h")
@@ -238,7 +238,7 @@ def test_a_pair_that_is_there_twice_is_told(tmp_path: Path) -> None:
         names = [name.replace("/", "-") for name in PAIR]
         file.copy("/".join(names), "/".join(reversed(names)))
     given = read_given(tmp_path / "h")
-    assert len(given.places) == len(WORLD.matches) and "some already: 1" in given.said[1]
+    assert len(given.places) == len(WORLD.matches) and "some already: 1" in given.notes[1]
 
 
 @pytest.mark.parametrize("rows", [-1, 1])

@@ -54,17 +54,17 @@ def read_database(path: Path) -> DatabaseMatches:
         ids, sizes, cameras = read_images(database)
         database.execute("SELECT image_id, rows, cols, data FROM keypoints LIMIT 0")
         pairs = read_pairs(database, ids, table)
-        said = [
+        notes = [
             f"{path}: COLMAP's key points, whose first pixel has its centre at (0.5, 0.5): 0.5 "
             "is subtracted"
         ]
         if not pairs:
             table = "two_view_geometries"
             pairs = read_pairs(database, ids, table)
-            said.append("no matches, but two-view geometries: their inliers are judged")
+            notes.append("no matches, but two-view geometries: their inliers are judged")
         if not pairs:
             raise ValueError("it has no matches")
     places = {names: str(key) for names, key in pairs.items()}
     return DatabaseMatches(
-        path, tuple(sorted(ids)), places, tuple(said), sizes, cameras, ids=ids, table=table
+        path, tuple(sorted(ids)), places, tuple(notes), sizes, cameras, ids=ids, table=table
     )

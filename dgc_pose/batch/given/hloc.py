@@ -73,13 +73,13 @@ def read_hloc(folder: Path) -> HlocMatches:
     if not places:
         first = f" (first: {odd[0]})" if odd else ""
         raise InputError(matches, f"has no pair of images of {features.name}{first}")
-    said = [
+    notes = [
         f"{folder}: hloc's key points, whose first pixel has its centre at (0, 0), as here",
         *repeated,
     ]
     if odd:
         no_two = f"{matches}: groups that name no two images of {features.name}"
-        said.append(f"{no_two}: {len(odd)} (first: {odd[0]})")
+        notes.append(f"{no_two}: {len(odd)} (first: {odd[0]})")
     sizes = {}
     with read_as("hloc's features", features), h5py.File(features) as file:
         for name in names:
@@ -87,7 +87,7 @@ def read_hloc(folder: Path) -> HlocMatches:
                 width, height = np.asarray(size).astype(int).tolist()
                 sizes[name] = width, height
     return HlocMatches(
-        folder, tuple(names), places, tuple(said), sizes, features=features, matches=matches
+        folder, tuple(names), places, tuple(notes), sizes, features=features, matches=matches
     )
 
 

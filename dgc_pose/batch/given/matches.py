@@ -33,7 +33,7 @@ class GivenMatches:
     path: Path
     names: tuple[str, ...]
     places: Mapping[Names, str]  # by pair, where the source has its matches
-    said: tuple[str, ...]  # what was read and by which convention, a line each
+    notes: tuple[str, ...]  # what was read and by which convention, a line each
     sizes: Mapping[str, Size] = field(default_factory=dict)  # of images, if the source states them
     cameras: Mapping[str, Camera] = field(default_factory=dict)  # of known focal length
     with_images: bool = False  # whether the photographs are there

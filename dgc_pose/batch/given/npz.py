@@ -45,11 +45,11 @@ def read_npz(path: Path) -> NpzMatches:
     if not files:
         raise InputError(path, "holds neither hloc's .h5 nor an .npz")
     places, repeated = each_once(path, ((_pair_names(file), file.name) for file in files))
-    said = (
+    notes = (
         f"{len(files)} .npz: points in pixels of the upright images, (0, 0) the first one's centre",
         *repeated,
     )
-    return NpzMatches(path, images_of(places), places, said)
+    return NpzMatches(path, images_of(places), places, notes)
 
 
 def _pair_names(file: Path) -> Names:
